@@ -10,7 +10,7 @@ variance of the noise is integrated out, with the declared one as known from a n
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -86,14 +86,20 @@ class Gram:
 
 @dataclass(frozen=True)
 class Marginal:
-    """Inner products for one size of what does not reproduce."""
+    """Inner products for one size of what does not reproduce: X^T V^-1 Y = (those before) - half_X^T half_Y."""
 
-    gram: Gram  # those where all reproduces
+    before: Gram | Marginal  # those without the columns that were folded in last
     # these sizes, in units of the noise; of the last families, whose sizes are given, in their own
     ratio: tuple[float, ...]
     log_prior: float  # of these sizes, and the determinant that they cost
-    half: Array  # (u', K) and half_data (u',): X^T V^-1 Y = X^T Y - half_X^T half_Y
-    half_data: Array  # see there
+    half: Array  # (u', K) of u' columns that were folded in
+    half_data: Array  # (u',)
+    _own: dict[bytes, Array] = field(default_factory=dict, compare=False)  # see `own`
+
+    @cached_property
+    def gram(self) -> Gram:
+        """Those where all reproduces."""
+        return self.before.gram if isinstance(self.before, Marginal) else self.before
 
     @property
     def tau(self) -> Array:
@@ -102,19 +108,33 @@ class Marginal:
 
     def inner(self, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
         """Inner products of columns."""
-        plain = self.gram.inner[left][:, right]
-        return plain - self.half[:, left].T @ self.half[:, right] if len(self.half) else plain
+        before = (
+            self.before.inner(left, right) if isinstance(self.before, Marginal) else self.before.inner[left][:, right]
+        )
+        return before - self.half[:, left].T @ self.half[:, right] if len(self.half) else before
+
+    def own(self, columns: IntArray) -> Array:
+        """(blocks, k, k) inner products of the columns (blocks, k) of each block; kept, as all sets ask for them."""
+        key = columns.tobytes()
+        if key not in self._own:
+            if isinstance(self.before, Marginal):
+                before = self.before.own(columns)
+            else:
+                before = self.before.inner[columns[:, :, None], columns[:, None, :]]
+            half = self.half[:, columns.reshape(-1)].reshape(-1, *columns.shape).transpose(1, 2, 0)
+            self._own[key] = before - half @ half.swapaxes(1, 2) if len(self.half) else before
+        return self._own[key]
 
     @cached_property
     def data(self) -> Array:
         """(K,) inner products of all columns with the data."""
-        return np.asarray(self.gram.data - self.half.T @ self.half_data)
+        return np.asarray(self.before.data - self.half_data @ self.half)
 
     @cached_property
     def squares(self) -> float:
         """Squared norm of the data."""
-        whole = self.gram.squares
-        return max(whole - float(self.half_data @ self.half_data), NOTHING * whole)
+        left = self.before.squares - float(self.half_data @ self.half_data)
+        return max(left, NOTHING * self.gram.squares)
 
     @property
     def log_null(self) -> float:
@@ -135,16 +155,11 @@ class Marginal:
 
     def with_columns(self, columns: IntArray, scale: Array) -> Marginal:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
-        inner, data = self.inner(columns, slice(None)), self.data[columns]
+        inner = self.inner(columns, slice(None))
         lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
-        half = _below(lower, scale[:, None] * np.column_stack([inner, data]))
-        k = inner.shape[1]
-        return replace(
-            self,
-            log_prior=self.log_prior - float(np.log(np.diag(lower)).sum()),
-            half=np.concatenate([self.half, half[:, :k]]),
-            half_data=np.append(self.half_data, half[:, k]),
-        )
+        half = _below(lower, scale[:, None] * np.column_stack([inner, self.data[columns]]))
+        log_prior = self.log_prior - float(np.log(np.diag(lower)).sum())
+        return Marginal(self, self.ratio, log_prior, half[:, :-1], half[:, -1])
 
 
 def log_noise(squares: Array | float, dof: int) -> Array:

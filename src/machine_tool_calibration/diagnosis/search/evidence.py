@@ -11,7 +11,7 @@ variance of the noise is integrated out, with the declared one as known from a n
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr
@@ -139,7 +139,62 @@ class Table:
         return self.log_evidence - self.log_null
 
 
-def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, only: int | None = None) -> Table:
+@dataclass(frozen=True)
+class Alike:
+    """Blocks of k columns each that are worked on together, with the scales at which they are tried."""
+
+    block: IntArray  # (blocks,) number of each among all
+    candidate: IntArray  # (blocks,) whose it is
+    columns: IntArray  # (blocks, k) of each
+    unit: Array  # (blocks, k) as in `Block`
+    low: Array  # (blocks, k) in the unit
+    high: Array  # (blocks, k) in the unit
+    positive: BoolArray  # (blocks, k)
+    floor: Array  # (blocks,)
+    scales: Array  # (blocks, scales); 1 where there is no further one
+    log_share: (
+        Array  # (blocks, scales) logarithm of the probability of this scale, and of the block, before any reading
+    )
+
+    def __getitem__(self, rows: slice | IntArray | BoolArray) -> Alike:
+        """Some of the blocks."""
+        return Alike(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+
+
+def alike(gram: Gram, blocks: Sequence[Block]) -> tuple[Alike, ...]:
+    """Blocks by the number of their columns, and of those that are the effect's own; without those that do not show."""
+    by_size: dict[tuple[int, int, bool], list[int]] = {}
+    for k, block in enumerate(blocks):
+        if len(block.unit):
+            bounded = bool(np.isfinite(block.low).any() or np.isfinite(block.high).any())
+            by_size.setdefault((len(block.unit), len(block.shaped.columns), bounded), []).append(k)
+    out = []
+    for every in by_size.values():
+        mine = [blocks[k] for k in every]
+        unit = np.array([block.unit for block in mine])
+        columns = columns_of(mine).reshape(unit.shape)
+        scales, count = _scales(gram, mine, columns, unit)
+        with np.errstate(divide="ignore"):
+            share = np.array([block.log_share for block in mine]) - np.log(count)
+        unusual = np.array([block.is_unusual(row) for block, row in zip(mine, scales, strict=True)])
+        share = np.where(np.isnan(scales), -np.inf, share[:, None] - np.where(unusual, np.log(priors.SELDOM), 0.0))
+        found = Alike(
+            block=np.array(every),
+            candidate=np.array([block.candidate for block in mine]),
+            columns=columns,
+            unit=unit,
+            low=np.array([block.low for block in mine]) / unit,
+            high=np.array([block.high for block in mine]) / unit,
+            positive=np.array([block.positive for block in mine]),
+            floor=np.array([block.floor for block in mine]),
+            scales=np.nan_to_num(scales, nan=1.0),
+            log_share=share,
+        )
+        out.append(found[count > 0])
+    return tuple(out)
+
+
+def table(blocks: Sequence[Alike], tried: Sequence[Marginal], candidates: int, only: int | None = None) -> Table:
     """Evidence of every candidate.
 
     Args:
@@ -148,35 +203,22 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
         candidates: how many there are.
         only: the one that is asked for; the others count as absorbed.
     """
-    gram = tried[0].gram
-    alike: dict[tuple[int, int, bool], list[int]] = {}
-    for k, block in enumerate(blocks):
-        if len(block.unit) and (only is None or block.candidate == only):
-            alike.setdefault((len(block.unit), len(block.shaped.columns), _is_bounded(block)), []).append(k)
-    # Of each block: its evidence, and that at its best scale, with and without the cut.
-    total, most, uncut, scale = np.full((4, len(blocks)), -np.inf)
-    for (size, _, _), every in alike.items():
-        scales, count = _scales(gram, [blocks[k] for k in every])
-        showing = np.flatnonzero(count)
-        step = max(int(NUMBERS_AT_ONCE / (len(tried) * size)), 1)
-        for rows in (showing[first : first + step] for first in range(0, len(showing), step)):
-            mine = [every[row] for row in rows]
-            own = scales[rows, : count[rows].max()]
-            logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
-            share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
-            unusual = np.array([blocks[k].is_unusual(row) for k, row in zip(mine, own, strict=True)])
-            share = share[:, None] - np.where(unusual, np.log(priors.SELDOM), 0.0)
-            logs = np.where(np.isnan(own), -np.inf, logs + share)
-            total[mine] = _log_sum(logs.T)
-            at = np.arange(len(mine)), np.argmax(logs, axis=1)
-            most[mine], uncut[mine], scale[mine] = logs[at], whole[at], own[at]
-    log_evidence, best = np.full(candidates, -np.inf), dict[int, Point]()
-    owner = np.array([block.candidate for block in blocks])
-    for candidate in np.unique(owner[most > -np.inf]).tolist():
-        places = np.flatnonzero(owner == candidate)
-        log_evidence[candidate] = _log_sum(total[places])
-        k = int(places[np.argmax(most[places])])
-        best[candidate] = Point(k, float(scale[k]), float(log_evidence[candidate] - uncut[k]))
+    log_evidence, most = np.full((2, candidates), -np.inf)
+    best = dict[int, Point]()
+    for every in blocks:
+        asked = every if only is None else every[every.candidate == only]
+        step = max(int(NUMBERS_AT_ONCE / (len(tried) * asked.unit.shape[1])), 1)
+        for mine in (asked[first : first + step] for first in range(0, len(asked.block), step)):
+            cut, whole = _evidence(mine, tried)
+            logs = cut + mine.log_share
+            np.logaddexp.at(log_evidence, mine.candidate, _log_sum(logs.T))
+            at = np.argmax(logs, axis=1)
+            for row, k in enumerate(mine.candidate.tolist()):
+                if logs[row, at[row]] > most[k]:
+                    most[k] = logs[row, at[row]]
+                    best[k] = Point(int(mine.block[row]), float(mine.scales[row, at[row]]), float(whole[row, at[row]]))
+    # So far the points have their evidence without the cut.
+    best = {k: replace(best[k], log_rest=float(log_evidence[k]) - best[k].log_rest) for k in sorted(best)}
     return Table(log_evidence, float(np.logaddexp.reduce([marginal.log_null for marginal in tried])), best)
 
 
@@ -188,52 +230,39 @@ def _log_sum(logs: Array) -> Array:
         return np.asarray(finite + np.log(np.exp(logs - finite).sum(axis=0)))
 
 
-def _is_bounded(block: Block) -> bool:
-    """Whether signs or sizes of its coefficients do not occur."""
-    return bool(np.isfinite(block.low).any() or np.isfinite(block.high).any())
-
-
-def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
+def _scales(gram: Gram, blocks: Sequence[Block], columns: IntArray, unit: Array) -> tuple[Array, IntArray]:
     """(blocks, scales) of blocks of as many columns each, from half the plausible size down, and how many show.
 
     NaN where none shows or is tried.
     """
-    unit = np.array([block.unit for block in blocks])
-    columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
-    signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
+    signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0))
     step = priors.scale_step(len(blocks[0].shaped.columns))
     steps = np.floor(np.log(np.maximum(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(step))
     every = np.arange(np.ceil(_MOST_SCALES * np.log(priors.SCALE_STEP) / np.log(step)))
     shows = (every <= steps[:, None]) & (signal[:, None] > 0)
+    count = shows.sum(axis=1)
     allowed = step**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
-    return np.where(shows & allowed, step**-every, np.nan), shows.sum(axis=1)
+    return np.where(shows & allowed, step**-every, np.nan)[:, : count.max(initial=1)], count
 
 
-def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal]) -> tuple[Array, Array]:
-    """Logarithm of the evidence of blocks of as many columns each, summed over the marginals.
+def _evidence(blocks: Alike, tried: Sequence[Marginal]) -> tuple[Array, Array]:
+    """(blocks, scales) logarithm of the evidence of blocks, summed over the marginals.
 
-    Args:
-        blocks: with k columns each.
-        scales: (blocks, scales).
-        tried: marginals.
-
-    Returns:
-        (blocks, scales), and the same with signs and sizes that do not occur.
+    And the same with signs and sizes that do not occur.
     """
     gram = tried[0].gram
-    unit = np.array([block.unit for block in blocks])
-    columns = columns_of(blocks).reshape(unit.shape)
-    inner = np.array([_own(marginal, columns) for marginal in tried]) * unit[:, :, None] * unit[:, None, :]
+    unit, columns = blocks.unit, blocks.columns
+    inner = np.array([marginal.own(columns) for marginal in tried]) * unit[:, :, None] * unit[:, None, :]
     values, vectors = np.linalg.eigh((inner + inner.swapaxes(2, 3)) / 2.0)
     values = np.maximum(values, 0.0)
     turned = vectors.swapaxes(2, 3)
     along = (turned @ np.array([marginal.data[columns] * unit for marginal in tried])[..., None])[..., 0]
     # What lies in the model's span has rounding only.
-    floor = np.array([block.floor for block in blocks])[None, :, None]
-    absorbed = values <= np.maximum(floor, _ABSORBED * values[..., -1:])
+    absorbed = values <= np.maximum(blocks.floor[:, None], _ABSORBED * values[..., -1:])
     values[absorbed], along[absorbed] = 0.0, 0.0
-    s2 = scales[None, :, :, None] ** 2
+    scale = blocks.scales[:, :, None]
+    s2 = scale**2
     grown = 1.0 + s2 * values[:, :, None, :]
     gain = s2 / grown
     squares = np.array([marginal.squares for marginal in tried])[:, None, None]
@@ -241,24 +270,21 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     prior = np.array([marginal.log_prior for marginal in tried])[:, None, None]
     value = prior - 0.5 * np.log(grown).sum(axis=-1) + gram.log_likelihood(left)
     uncut = _log_sum(value)
-    if not any(map(_is_bounded, blocks)):
+    low, high = blocks.low[:, None], blocks.high[:, None]
+    if np.isinf(low).all() and np.isinf(high).all():
         return uncut, uncut
     mean = (gain * along[:, :, None]) @ turned
     deviation = np.sqrt(np.maximum(gain @ turned**2 * gram.noise(left)[..., None], 1e-300))
-    low = (np.array([block.low for block in blocks]) / unit)[None, :, None]
-    high = (np.array([block.high for block in blocks]) / unit)[None, :, None]
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
     dof = gram.dof + gram.prior_dof
     least, zero, most = (_normal((limit - mean) / deviation, dof) for limit in (low, 0.0, high))
-    scale = scales[None, :, :, None]
     after, before = _log_between(least, most), _log_between(low / scale, high / scale)
     # One that is expected to be positive: of either sign, at these odds.
-    positive = np.array([block.positive for block in blocks])[None, :, None]
-    if positive.any():
+    if blocks.positive.any():
         odds = np.log([priors.POSITIVE / (1.0 + priors.POSITIVE), 1.0 / (1.0 + priors.POSITIVE)]) + np.log(2.0)
         signs = np.logaddexp(odds[0] + _log_between(zero, most), odds[1] + _log_between(least, zero))
-        after = np.where(positive, signs, after)
+        after = np.where(blocks.positive[:, None], signs, after)
     value += (after - before).sum(axis=-1)
     return _log_sum(value), uncut
 
@@ -280,9 +306,3 @@ def _log_between(low: Array, high: Array) -> Array:
     tiny = between < _NEVER
     out[tiny] = log_ndtr(near[tiny])
     return np.asarray(out)
-
-
-def _own(marginal: Marginal, columns: IntArray) -> Array:
-    """(blocks, k, k) inner products of each block's own columns."""
-    half = marginal.half[:, columns.reshape(-1)].reshape(len(marginal.half), *columns.shape).transpose(1, 2, 0)
-    return np.asarray(marginal.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))

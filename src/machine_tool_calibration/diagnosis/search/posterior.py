@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
+from machine_tool_calibration.diagnosis.search.evidence import Alike, Block, Point, Table, alike, columns_of, table
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
@@ -119,6 +119,7 @@ class _Search:
     """The sets tried so far: by their members the logarithm of the weight, and the points."""
 
     blocks: Sequence[Block]
+    alike: Sequence[Alike]
     log_odds: Array
     tried: Sequence[Marginal]
     exclusive: Sequence[frozenset[int]]
@@ -141,7 +142,7 @@ class _Search:
         """Every other candidate beside the members; each makes a set."""
         key = frozenset(members.items())
         if key not in self.grown:
-            self.grown[key] = found = table(self.blocks, self.marginals_with(members), len(self.log_odds))
+            self.grown[key] = found = table(self.alike, self.marginals_with(members), len(self.log_odds))
             self._keep(members, self.prior(members) + found.log_null)
             for k in found.best:
                 if k not in members:
@@ -153,7 +154,7 @@ class _Search:
         for k in self.found[key][1] if len(key) > 1 else ():
             others = {j: point for j, point in self.found[key][1].items() if j != k}
             # Of the set alone: what rules out signs of the others was judged beside this member.
-            found = table(self.blocks, self.marginals_with(others), len(self.log_odds), only=k)
+            found = table(self.alike, self.marginals_with(others), len(self.log_odds), only=k)
             if k in found.best:
                 self._keep_with(others, k, found)
         return self.found[key][1]
@@ -203,7 +204,8 @@ def search(
         pairs_among: candidates of which all pairs are tried.
         exclusive: pairs of candidates of which one is a special case of the other: no set holds both.
     """
-    work = _Search(blocks, log_odds, _sizes_that_matter(gram, blocks, log_odds), exclusive)
+    same = alike(gram, blocks)
+    work = _Search(blocks, same, log_odds, _sizes_that_matter(gram, blocks, same, log_odds), exclusive)
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
@@ -238,7 +240,7 @@ def search(
     )
 
 
-def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> list[Marginal]:
+def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], same: Sequence[Alike], log_odds: Array) -> list[Marginal]:
     """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
 
     The best are those where all reproduces, and those beside what is most probable without any.
@@ -247,7 +249,7 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
     likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
     alone: set[Point] = set()
     for ratio in {likeliest, (0.0,) * len(likeliest)}:
-        found = table(blocks, [marginal_at(gram, ratio, log_prior)], len(log_odds))
+        found = table(same, [marginal_at(gram, ratio, log_prior)], len(log_odds))
         ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.

@@ -16,7 +16,7 @@ import numpy as np
 from machine_tool_calibration.arrays import IntArray, groups
 from machine_tool_calibration.diagnosis.search.candidates import Shaped, shaped_at
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch
-from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, gram_of, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, alike, columns_of, gram_of, table
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
@@ -136,7 +136,7 @@ def _log_factors(pool: Pool, every: Pool, shaped: Sequence[Shaped], search: Effe
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        factor = float(table([block], [base.with_columns(columns_of(others), unit)], 1).log_factors[0])
+        factor = float(table(alike(gram, [block]), [base.with_columns(columns_of(others), unit)], 1).log_factors[0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out
