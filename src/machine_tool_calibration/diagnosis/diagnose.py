@@ -176,9 +176,10 @@ def _without_gross_errors(
 
 
 def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]) -> tuple[str, ...]:
-    """Effects that are found without all that may be wrong; none where nothing lies far out.
+    """Effects that are probable without all that may be wrong; none where nothing lies far out.
 
     Gross errors that an effect hides may in turn hide the effect, which shows among the other readings (masking).
+    Laws are taken to hold exactly: what is found here is looked for again.
     """
     build = _alone(chosen, ())
     suspected = [suspected_rows(session, build) for session in chosen.sessions]
@@ -186,8 +187,12 @@ def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]
         return ()
     each = zip(chosen.sessions, suspected, strict=True)
     sessions = tuple(session.without(np.isin(session.readings.row, rows)) for session, rows in each)
+    progress("effects without what lies far out", 0.1)
     try:
-        return _probable(_search(replace(chosen, sessions=sessions), (), progress))
+        searched, first, _ = _first_model(replace(chosen, sessions=sessions))
+        candidates, structures = _candidates(chosen, first)[0], structure_candidates(Pool(first.joint))
+        side_by_side = _side_by_side(searched)
+        return search_effects(first.joint, candidates, structures, side_by_side=side_by_side, exact_laws=True).accepted
     except ModelError:
         # What is left does not allow the model: then it says nothing of what is missing.
         return ()
@@ -213,11 +218,7 @@ def _search(
 ) -> Diagnosis:
     """The diagnosis of sessions without what was set aside."""
     searched, first, repeated = _first_model(chosen)
-    pool = Pool(first.joint)
-    # Error motions that the model holds as random functions, under names of their own.
-    held = {t.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for t in model.terms if "." in t.name}
-    candidates, excluded = effect_candidates(pool, [e for e in chosen.absent if e.id not in held])
-    excluded |= {e.id: "the model has it already, as a random function" for e in chosen.absent if e.id in held}
+    candidates, excluded = _candidates(chosen, first)
     progress(f"{len(candidates)} effects, alone and together", 0.2)
     search, predicted, fitted, refused = _possible(searched, first, candidates, progress)
     noise = search.noise[0]
@@ -243,6 +244,20 @@ def _search(
     return replace(found, verdict=verdict, accepted=(), fitted=fitted[:1])
 
 
+def _side_by_side(chosen: FitRequest) -> bool:
+    """Whether many effects are expected at once: the machine itself is read."""
+    return all(spec_of(session).reads_machine for session in chosen.sessions)
+
+
+def _candidates(chosen: FitRequest, first: FittedSessions) -> tuple[list[Candidate], dict[str, str]]:
+    """Effects that may be missing, and why each of the others is not looked for."""
+    # Error motions that the model holds as random functions, under names of their own.
+    held = {t.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for t in model.terms if "." in t.name}
+    candidates, excluded = effect_candidates(Pool(first.joint), [e for e in chosen.absent if e.id not in held])
+    excluded |= {e.id: "the model has it already, as a random function" for e in chosen.absent if e.id in held}
+    return candidates, excluded
+
+
 def _possible(
     searched: FitRequest,
     first: FittedSessions,
@@ -259,8 +274,7 @@ def _possible(
         added; and which probable effects were not, with the reason.
     """
     pool = Pool(first.joint)
-    side_by_side = all(spec_of(session).reads_machine for session in searched.sessions)
-    structures = structure_candidates(pool)
+    structures, side_by_side = structure_candidates(pool), _side_by_side(searched)
 
     @cache
     def fit_with(ids: tuple[str, ...]) -> FittedSessions:

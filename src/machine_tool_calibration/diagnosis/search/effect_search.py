@@ -101,6 +101,7 @@ def search_effects(
     structures: Sequence[Candidate],
     *,
     side_by_side: bool,
+    exact_laws: bool = False,
 ) -> EffectSearch:
     """The posterior over everything that may be missing, and what is read off it.
 
@@ -109,13 +110,14 @@ def search_effects(
         candidates: effects that are not in the model.
         structures: functions of the covariates.
         side_by_side: whether many effects are expected at once.
+        exact_laws: whether laws are taken to hold exactly, for a first look.
     """
     columns = _columns(Pool(fit), candidates, structures)
-    found = _searched(columns, side_by_side)
+    found = _searched(columns, side_by_side, at_first=True)
     # What may be in is looked at again with laws that hold to some percent.
-    tried = _to_some_percent(columns, found)
-    if tried:
-        columns = _columns(columns.pool, tried, structures)
+    if not exact_laws:
+        tried = _to_some_percent(columns, found)
+        columns = _columns(columns.pool, tried, structures) if tried else columns
         found = _searched(columns, side_by_side)
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
@@ -157,7 +159,7 @@ def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
     return out if changed else []
 
 
-def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
+def _searched(columns: _Columns, side_by_side: bool, *, at_first: bool = False) -> Posterior:
     effects = [k for k in columns.seen if k < columns.effects]
     prior = np.zeros(len(columns.candidates))
     prior[columns.seen] = priors.STRUCTURE
@@ -166,7 +168,13 @@ def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
     log_odds = logit(prior)
     exclusive = _exclusive(columns)
     return search(
-        columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, exclusive=exclusive
+        columns.gram,
+        columns.blocks,
+        log_odds,
+        side_by_side=side_by_side,
+        pairs_among=effects,
+        exclusive=exclusive,
+        at_first=at_first,
     )
 
 

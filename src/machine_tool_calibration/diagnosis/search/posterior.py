@@ -21,8 +21,9 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
 # Sizes of what does not reproduce that no set makes more probable than this share of its likeliest are left out: with
-# more of them the probabilities of effects change in the third figure, and the search takes twice as long.
-_COUNTS = 0.03
+# more of them the probabilities of effects change in the third figure, and the search takes twice as long. In a first
+# look, after which all is looked for again, more are, which takes a third of the time.
+_COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
 # Best sets that are grown; pairs that are grown although neither leads by itself; members at most, and where the
 # machine itself is read, which holds many small errors side by side.
 _GROWN, _PAIRS = 6, 4
@@ -193,6 +194,7 @@ def search(
     side_by_side: bool,
     pairs_among: Sequence[int],
     exclusive: Sequence[frozenset[int]] = (),
+    at_first: bool = False,
 ) -> Posterior:
     """The posterior over sets.
 
@@ -203,9 +205,10 @@ def search(
         side_by_side: whether many effects are expected at once: the machine itself is read.
         pairs_among: candidates of which all pairs are tried.
         exclusive: pairs of candidates of which one is a special case of the other: no set holds both.
+        at_first: whether this is a first look, with fewer sizes of what does not reproduce.
     """
-    same = alike(gram, blocks)
-    work = _Search(blocks, same, log_odds, _sizes_that_matter(gram, blocks, same, log_odds), exclusive)
+    same, share = alike(gram, blocks), _COUNTS_AT_FIRST if at_first else _COUNTS
+    work = _Search(blocks, same, log_odds, _sizes_that_matter(gram, blocks, same, log_odds, share), exclusive)
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
@@ -240,12 +243,14 @@ def search(
     )
 
 
-def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], same: Sequence[Alike], log_odds: Array) -> list[Marginal]:
+def _sizes_that_matter(
+    gram: Gram, blocks: Sequence[Block], same: Sequence[Alike], log_odds: Array, share: float
+) -> list[Marginal]:
     """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
 
     The best are those where all reproduces, and those beside what is most probable without any.
     """
-    grid = size_grid(gram, share=_COUNTS)
+    grid = size_grid(gram, share=share)
     likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
     alone: set[Point] = set()
     for ratio in {likeliest, (0.0,) * len(likeliest)}:
@@ -264,7 +269,7 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], same: Sequence[Alike
         def log_evidence(ratio: tuple[float, ...], log: float, own: IntArray = own, scale: Array = scale) -> float:
             return at(ratio, log).log_null_with(own, scale)
 
-        prior |= {ratio: log for ratio, log, _ in size_grid(few, log_evidence, _COUNTS)}
+        prior |= {ratio: log for ratio, log, _ in size_grid(few, log_evidence, share)}
     return [marginal_at(gram, ratio, prior[ratio]) for ratio in sorted(prior)]
 
 
