@@ -95,6 +95,9 @@ _GAIN = 1e-4
 # Damping, beside the largest square of a block's unknown, with which a step that was too long is shortened first; each
 # failure makes it larger, each success smaller.
 _LEAST_DAMPING = 1e-10
+# Damping below which there is none. Where a valley is long, a step that is free at once after a damped one is too long
+# again, and the two take turns until no step is left.
+_NO_DAMPING = 1e-16
 _MOST_DAMPING = 1e3
 _HARDER, _SOFTER = 100.0, 10.0
 # Damped steps that gain less than this so often in a row end the iteration: what is left is a motion that readings
@@ -221,7 +224,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
             continue
         little = little + 1 if damping and base.cost - trial.cost < _LITTLE else 0
         base = trial
-        damping = damping / _SOFTER if damping > _LEAST_DAMPING else 0.0
+        damping = damping / _SOFTER if damping > _NO_DAMPING else 0.0
         if little >= _OFTEN:
             normal = base.normal(damping)
             return base.solution(normal, base.after(normal.step), base.normal(), count)

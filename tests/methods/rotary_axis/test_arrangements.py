@@ -14,7 +14,9 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.procedure.description import Path as Targets
 from machine_tool_calibration.procedure.description import Spread, read_procedure
 from machine_tool_calibration.session.checks import check_session
@@ -201,3 +203,12 @@ def test_iso230_2() -> None:
     assert low <= positions.min() - procedure.motion.approach and positions.max() + procedure.motion.approach <= high
     # Not all intervals are alike: a periodic error of the scale would go unseen.
     assert np.ptp(np.diff(positions)) > 1e-4
+
+
+@pytest.mark.parametrize("seed", [507, 509, 511])
+def test_a_fit_with_a_long_valley_converges(seed: int, rotary: SimpleNamespace) -> None:
+    """Targets of one height, stations nearly so: a step after a damped one is too long again if it is free at once."""
+    targets = {"P": (-0.18, 0.18, 0.0), "Q": (0.18, -0.18, 0.0), "K": (0.18, 0.18, 0.0)}
+    stations = ((0.8, -0.8, 0.1), (0.8, 0.8, 1.1), (-0.8, 0.0, 1.1), (0.0, -0.8, 1.1), (-0.8, -0.8, 1.1))
+    session = rotary.measured(seed, targets=targets, stations=stations).session
+    assert fit_models([build_model(session)[0]]).solution.steps <= 20
