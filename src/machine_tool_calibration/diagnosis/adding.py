@@ -99,7 +99,7 @@ def _not_themselves(
         fit_with: the fit with effects.
     """
     after, out, known = fit_with(names).joint, dict[str, str](), {f.name for f in search.findings if f.rank}
-    if not _sized(after, names[-1]):
+    if not _sized(after, names[-1]) and search.of(names[-1]).p_value > priors.NO_CHANCE:
         return {names[-1]: say("undetermined.no_size_beside")}
     for name in (name for name in names if search.of(name).candidate.decays):
         # What it changes that the model does not absorb, and the residual.

@@ -210,6 +210,11 @@ STANDS_OUT = 2.0
 """Standard uncertainties of a size beside the other effects, or the probability of that for several together, below
 which an effect is not added: what it is said to be may be zero."""
 
+NO_CHANCE = 1e-5
+"""p-value from which an effect is added all the same. What does not reproduce has its published size from repeats alone,
+which may leave room for the effect; where the whole of the readings do not, its size is none that may be zero. Of
+simulated sessions the right effects whose published size did not stand out had 1e-6 and less, wrong ones 2e-4 and more."""
+
 TAKEN_BACK = 2.0
 """What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others
 take back what it has too much, and none has its size by itself."""
