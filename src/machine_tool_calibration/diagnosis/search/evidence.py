@@ -152,9 +152,8 @@ class Alike:
     positive: BoolArray  # (blocks, k)
     floor: Array  # (blocks,)
     scales: Array  # (blocks, scales); 1 where there is no further one
-    log_share: (
-        Array  # (blocks, scales) logarithm of the probability of this scale, and of the block, before any reading
-    )
+    # (blocks, scales) logarithm of the prior probability of this block and scale among the candidate's
+    log_share: Array
 
     def __getitem__(self, rows: slice | IntArray | BoolArray) -> Alike:
         """Some of the blocks."""
