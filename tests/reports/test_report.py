@@ -43,6 +43,14 @@ def table(shown: Report, title: str) -> TextTable:
     return next(t for t in (*shown.tables, *shown.details) if t.title == say(f"found.{title}"))
 
 
+@pytest.mark.parametrize("brief", [True, False])
+def test_readings_that_were_set_aside_are_told_whatever_the_verdict(brief: bool) -> None:
+    found, then = concluded("outliers")
+    for verdict, key in (("outliers", "diagnosis.outliers"), ("adequate", "diagnosis.set_aside_before")):
+        words = verdict_words(replace(found, verdict=verdict), then.changes, then.advice, brief=brief)
+        assert key in [key for own in words for key in keys(own)]
+
+
 @pytest.mark.parametrize(
     ("name", "verdict", "says"),
     [

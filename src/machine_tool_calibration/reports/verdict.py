@@ -60,7 +60,7 @@ def verdict_words(
         yield say("diagnosis.refused", effect=_title(diagnosis, name), p=p, why=why)
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
-    if diagnosis.gross_errors and diagnosis.verdict != "outliers" and not brief:
+    if diagnosis.gross_errors and diagnosis.verdict != "outliers":
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
