@@ -28,7 +28,7 @@ from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.stages import stage_of
-from machine_tool_calibration.planning.best_plan import Assumed, _candidates, quickest_plan
+from machine_tool_calibration.planning.best_plan import Assumed, all_candidates, quickest_plan
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, offer
 from machine_tool_calibration.planning.optimise import quickest
@@ -142,7 +142,7 @@ def foretold(kind: str) -> float:
     """Time of the quickest plan that is found to the U that is foretold of the fixed plan, over that plan's."""
     file = procedure_file(kind)
     offered = offer(file.read_text(), file.name)
-    candidates, _, _ = _candidates(offered, Assumed(errors=shared_errors), ())
+    candidates, _, _ = all_candidates(offered, Assumed(errors=shared_errors), ())
 
     def largest(choice: Choice) -> float:
         return float(np.sqrt(candidates.variances(offered.weights(choice))[candidates.told].max()))

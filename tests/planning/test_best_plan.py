@@ -12,14 +12,13 @@ import yaml
 
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.budget.propagate import propagate
-from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, _with_effects, best_plan, quickest_plan
-from machine_tool_calibration.planning.design import Candidates, effect_sizes, map_errors
+from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, all_candidates, best_plan, quickest_plan
+from machine_tool_calibration.planning.design import Candidates
 from machine_tool_calibration.planning.dominant import expected_model
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
@@ -60,8 +59,7 @@ def _changed(**changes: Any) -> str:
 
 
 def _candidates(offered: Offer) -> Candidates:
-    joint = fit_models([expected_model(planned_session(offered.procedure).session, None)])
-    return Candidates(joint, offered.unit_of(joint.assembly.models[0].observations), map_errors(joint))
+    return all_candidates(offered, Assumed(), ())[0]
 
 
 @pytest.fixture(scope="module")
@@ -307,11 +305,7 @@ def test_places_seen_along_one_line_take_up_what_their_readings_could_tell() -> 
     chosen = yaml.safe_load(quickest_plan(PLANE, "plane.yaml", Assumed(), told=["backlash_x"]))["session"]
     assert chosen["repeats"] == 2
     offered = offer(PLANE, "plane", both_senses=True)
-    model = _with_effects(
-        expected_model(planned_session(offered.procedure).session, None), find_effects(["backlash_x"])
-    )
-    joint = fit_models([model])
-    told = Candidates(joint, offered.unit_of(model.observations), effect_sizes(joint, ["backlash_x"]))
+    told, _, _ = all_candidates(offered, Assumed(), ["backlash_x"])
     once, twice = (told.variances(offered.weights(Choice((0,), (0,), repeats))) for repeats in (1, 2))
     assert np.isinf(once).all() and np.isfinite(twice).all()
 

@@ -131,7 +131,7 @@ def best_plan(
     """
     offered = offer(text, source, both_senses=bool(told))
     progress("what every candidate tells", 0.0)
-    candidates, points, complete = _candidates(offered, assumed, told)
+    candidates, points, complete = all_candidates(offered, assumed, told)
     found = search(offered, candidates, seed=seed, progress=lambda what, share: progress(what, _SEARCH * share))
 
     def later(what: str, share: float) -> object:
@@ -165,7 +165,7 @@ def quickest_plan(
     """
     offered = offer(text, source, both_senses=bool(told))
     progress("what every candidate tells", 0.0)
-    candidates, _, _ = _candidates(offered, assumed, told)
+    candidates, _, _ = all_candidates(offered, assumed, told)
     if u is None:
         found = quickest(offered, candidates, _SIZE, progress)
         # how often each is repeated is decided while it is measured, unless time is short
@@ -174,8 +174,8 @@ def quickest_plan(
     return offered.text(quickest(offered, candidates, _MARGIN * u, progress, kept_up_to=u / _MARGIN))
 
 
-def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
-    """What every candidate tells, (q, 3) places of the numbers, and whether a budget is in them."""
+def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
+    """What every candidate tells of the map or of effects `told`, (q, 3) places, and whether a budget is in it."""
     effects = find_effects(told, assumed.own)
 
     def fitted(procedure: Procedure) -> JointFit:
