@@ -284,6 +284,8 @@ def test_every_effect_states_what_it_is() -> None:
         for coefficient in (*effect.coefficients, *effect.shapes):
             assert coefficient.low < coefficient.high
             assert coefficient.unit
+        # periods, frequencies, times, orders
+        assert all(shape.low >= 0.0 < shape.step for shape in effect.shapes)
 
 
 def test_a_coefficient_of_an_expected_sign_is_looked_for_on_both_sides() -> None:

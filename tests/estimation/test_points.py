@@ -3,6 +3,8 @@
 Every reading has one place, whatever was read of the points.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -51,6 +53,14 @@ def test_inner_datum(case, make_network, solve_dense):
     rows = inner_constraints(made)
     agree(result, solve_dense(made.network, rows, np.zeros(len(rows))))
     assert result.determined.all()
+
+
+def test_unknowns_may_have_units_that_are_far_apart(make_network, solve_dense):
+    made = make_network(dense=2)
+    made = replace(made, network=replace(made.network, dense=made.network.dense * [[1.0], [1e9]]))
+    result = moved(made.network.part(), solve(made.network.problem()), made)
+    rows = inner_constraints(made)
+    agree(result, solve_dense(made.network, rows, np.zeros(len(rows))))
 
 
 def test_solvers_datum_without_motions(make_network, solve_dense):

@@ -3,6 +3,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,6 +116,28 @@ def test_a_single_size_is_generalised_least_squares(monkeypatch: pytest.MonkeyPa
         both = np.column_stack([model, spread])
         matrix = both.T @ both + np.diag([0.0, 0.0, *np.full(spread.shape[1], ratio**-2.0)])
         assert found.solution.covariance == pytest.approx(np.linalg.inv(matrix), rel=1e-6, abs=1e-9)
+
+
+def test_beside_random_unknowns_all_are_solved_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the mixed model's equations (Henderson 1975); functions whose size is zero are not there."""
+
+    def certain(*given: Any) -> tuple[None, Array, Array]:
+        matrix, right = given[4:6]
+        return None, np.linalg.solve(matrix, right), np.linalg.inv(matrix)
+
+    monkeypatch.setattr(marginal_fit, "_with_random", certain)
+    m, tau = 3, np.array([0.5, 0.0, 2.0])
+    columns = np.random.default_rng(1).normal(size=(12, m + 4))
+    model = columns[:, :m]
+    columns[:, -1] -= model @ np.linalg.lstsq(model, columns[:, -1], rcond=None)[0]  # as a fit leaves it
+    total = columns.T @ columns
+    problem = SimpleNamespace(size=m)
+    mean, covariance, _ = marginal_fit._at(None, None, problem, total, np.diag(total), tau, 1.0)
+    there = [0, 1, 2, 3, 5]
+    expected = np.linalg.inv(total[np.ix_(there, there)] + np.diag([0.0, 0.0, 0.0, 0.5**-2, 2.0**-2]))
+    assert covariance[np.ix_(there, there)] == pytest.approx(expected)
+    assert mean[there] == pytest.approx(expected @ total[there, -1])
+    assert mean[4] == 0.0 and not covariance[4].any() and not covariance[:, 4].any()
 
 
 def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.MonkeyPatch) -> None:

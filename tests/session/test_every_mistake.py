@@ -14,6 +14,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -293,6 +294,33 @@ def test_damage_is_named(preset: str, name: str) -> None:
     text = str(caught.value)
     assert expected in text
     assert "\n" not in text
+
+
+@pytest.mark.parametrize(("size", "beside"), [(1.0, 0.023), (0.5, 0.019)])
+def test_a_part_may_lie_beside_its_place_by_a_fifth_of_its_radius_or_20_mm(size: float, beside: float) -> None:
+    def laid(beside: float) -> Session:
+        there = columns(x=lambda v: size * v + beside, y=lambda v: size * v)
+        return all_of(there, scaled_entries("workpiece", "position", size))(measured("probing_cross"))
+
+    check_session(laid(beside))
+    with pytest.raises(CalibrationError, match=f"is {1e3 * beside + 5:.0f} mm off the point"):
+        check_session(laid(beside + 5e-3))
+
+
+def test_an_axis_across_the_normal_says_nothing_of_the_side_that_was_touched() -> None:
+    session = measured("probing_cross")
+    readings, points = session.readings, session.description.workpiece
+    normal_of = {point.id: point.normal for point in points}
+    angle = session.rotation_sign * readings.columns["c"]
+    normal = turned(np.array([normal_of[label] for label in readings.labels["point"]]), angle)
+    # against the normal, but for the axis that is nearly across it
+    sense = np.where(np.abs(normal) < 0.3, 1.0, -1.0) * np.sign(normal)
+    nearly = ((np.abs(normal) < 0.3) & (np.abs(normal) > 1e-9)).any(axis=1)
+    slanted = columns(dir_x=lambda v: sense[:, 0], dir_y=lambda v: sense[:, 1])(session)
+    slanted = slanted.with_readings(slanted.readings.select(nearly))
+    check_session(slanted)
+    with pytest.raises(CalibrationError, match="are the normals of workpiece reversed"):
+        check_session(scaled_entries("workpiece", "normal", -1.0)(slanted))
 
 
 def _sound(preset: str, count: int) -> Iterator[Session]:
