@@ -15,12 +15,13 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify, identify_sessions
-from machine_tool_calibration.session import catalogue
 from machine_tool_calibration.session.catalogue import METHODS, method_spec
 from machine_tool_calibration.session.description import RotaryAxis, StepDiagonal
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+from ..own_method import announced, forget
 
 LINE = "circle_gauge = circle_gauge.spec:SPEC"
 RADIUS, SIGMA = 0.15, 2e-7
@@ -35,20 +36,6 @@ setups:
 - {{id: left, centre: [0.2, 0.2, 0.0], radius: {RADIUS}}}
 - {{id: right, centre: [0.3, 0.2, 0.0], radius: {RADIUS}}}
 """
-
-
-def announced(site: Path, line: str) -> Path:
-    """A folder with an installed package that announces a method."""
-    info = site / "circle_gauge-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Name: circle-gauge\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{catalogue.ENTRY_POINT_GROUP}]\n{line}\n")
-    return site
-
-
-def forget() -> None:
-    catalogue._plugins.cache_clear()
-    catalogue.method_spec.cache_clear()
 
 
 @pytest.fixture
@@ -155,26 +142,6 @@ def test_its_session_is_checked(tmp_path: Path) -> None:
     (folder / "observations.csv").write_text(rows)
     with pytest.raises(SessionError, match="the column 'x' is missing, which circle_gauge needs"):
         read_session(folder)
-
-
-@pytest.mark.parametrize(
-    ("line", "why"),
-    [
-        ("circle_gauge = no_such_module:SPEC", "No module named"),
-        ("circle_gauge = json:loads", "no MethodSpec"),
-        ("probing = machine_tool_calibration.methods.probing.spec:SPEC", "already"),
-    ],
-)
-def test_a_broken_plugin_is_skipped_with_a_warning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, why: str
-) -> None:
-    monkeypatch.syspath_prepend(str(announced(tmp_path / "site", line)))
-    forget()
-    try:
-        with pytest.warns(UserWarning, match=f"the method plugin .* is skipped: .*{why}"):
-            assert catalogue.method_names() == tuple(catalogue.METHODS)
-    finally:
-        forget()
 
 
 def test_a_method_has_the_name_of_its_description_and_a_pointer_where_it_has_stations() -> None:

@@ -14,8 +14,8 @@ from .reference import reference
 from .test_measurement import readings, since_first
 
 LONG = copy.deepcopy(PROCEDURE)
-LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 7
-TOTAL = 7 * 7 * 4 * 2
+LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 5
+TOTAL = 5 * 5 * 4 * 2
 SOON = {"resend": 0.2}  # s, so that a command that was lost is soon sent again
 
 
