@@ -55,7 +55,7 @@ def address(hidden: Path) -> Iterator[str]:
         assert run.wait(WAIT / 1000) == 0, "Ctrl-C ends it"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def browser() -> Iterator["playwright.Browser"]:
     with playwright.sync_playwright() as run:
         opened = run.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS), timeout=WAIT)
