@@ -42,8 +42,8 @@ PROCEDURE = {
     },
     "path": {
         "grid": {
-            "x": {"first": 0.02, "last": 0.38, "count": 4},
-            "y": {"first": 0.02, "last": 0.38, "count": 4},
+            "x": {"first": 0.02, "last": 0.38, "count": 3},
+            "y": {"first": 0.02, "last": 0.38, "count": 3},
             "z": [0.0],
         }
     },

@@ -65,9 +65,9 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
     more = ("--no-record", "--namespace", "cell_7", "--model", "rigid_body")
     status, said = mtcal("run", procedure, "--site", site, *more)
     assert status == 0, said.err
-    assert "128 readings" in said.out
+    assert "72 readings" in said.out
     output = tmp_path / "mtcal_output" / "small"
-    assert read_session(output / "session").readings.displacement.shape == (128,)
+    assert read_session(output / "session").readings.displacement.shape == (72,)
     assert json.loads((output / "result.json").read_text())["model"] == "rigid_body"
     assert not (output / "bag").exists()
 
@@ -83,7 +83,7 @@ def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
     assert 2 <= len(as_left) < 4 and len(as_left) < len(stages) and stages[-1]["U"] < 1.55e-6  # of two digits
     assert stages[0]["U"] is None  # one station alone determines no map
     session = read_session(tmp_path / "mtcal_output" / "small" / "session")
-    assert len(session.readings) == document["readings"] == stages[-1]["readings"] < 128
+    assert len(session.readings) == document["readings"] == stages[-1]["readings"] < 72
     # the recording holds what was decided, and is as whole as that of any other run
     assert len(session_from_bag(tmp_path / document["bag"]).readings) == document["readings"]
     status, said = mtcal("enough", tmp_path / document["bag"], "--until", "U=1.5um", "--json")

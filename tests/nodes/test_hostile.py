@@ -149,8 +149,8 @@ def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
         operator.wait(lambda: False, 0.01)
     ended(operator)
     assert said
-    assert operator.wait(lambda: operator.estimator.number("readings") == 128, PATIENCE)
-    assert operator.wait(lambda: len(operator.readings) == 128, PATIENCE)
+    assert operator.wait(lambda: operator.estimator.number("readings") == 72, PATIENCE)
+    assert operator.wait(lambda: len(operator.readings) == 72, PATIENCE)
     table = readings(operator)
     assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, SITE)).max() < 1e-9
     assert operator.wait(

@@ -72,7 +72,7 @@ def test_a_node_is_set_by_hand(bench: Bench) -> None:
     assert "estimator/identify" not in operator.services("estimator")
     for _ in range(2):  # whoever is activated again begins anew, and gets every latched reading
         assert set_state(operator, "estimator", "activate") and state(operator, "estimator") == "active"
-        collected(operator, 128)
+        collected(operator, 72)
         assert not set_state(operator, "estimator", "cleanup")
         assert set_state(operator, "estimator", "deactivate")
         assert operator.wait(lambda: "estimator/identify" not in operator.services("estimator"), PATIENCE)

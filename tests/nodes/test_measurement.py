@@ -37,7 +37,7 @@ def test_two_graphs_in_one_domain(bench, finish):
         finish(operator)
     for operator, site in zip(operators, (SITE, other), strict=True):
         table = readings(operator)
-        assert len(operator.readings) == 128
+        assert len(operator.readings) == 72
         assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, site)).max() < 1e-12
 
 

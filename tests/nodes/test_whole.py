@@ -76,9 +76,9 @@ def whole(tmp_path_factory, ros_domain):
         assert operator.wait(lambda: operator.recorder.message == "recording", PATIENCE)
         begin(operator)
         ended(operator)
-        assert operator.wait(lambda: len(operator.readings) >= 128, PATIENCE)
+        assert operator.wait(lambda: len(operator.readings) >= 72, PATIENCE)
         graph.start("estimator")  # one that comes late gets every reading
-        collected(operator, 128)
+        collected(operator, 72)
         identified = operator.outcome("estimator/identify", PATIENCE)
         assert operator.wait(
             lambda: bool(operator.heard.published.document) and operator.heard.published.error_map, PATIENCE
@@ -112,7 +112,7 @@ def test_readings_are_those_of_the_simulator(whole):
 
 
 def test_the_map_reaches_a_second_program(whole):
-    assert whole.identified["observations"] == whole.identified["used"] == "128"
+    assert whole.identified["observations"] == whole.identified["used"] == "72"
     latched = whole.second_program
     assert [name for name, _, _ in latched["fields"]] == ["x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz"]
     assert all(kind == 8 for _, _, kind in latched["fields"])  # FLOAT64
@@ -157,15 +157,15 @@ def test_diagnostics_name_every_node_and_its_device(whole):
 def test_a_listener_hears_the_readings_the_nodes_and_the_map_and_asks(whole):
     beside, operator = whole.beside, whole.operator
     assert operator.wait(lambda: beside.published.document == operator.heard.published.document, PATIENCE)
-    assert operator.wait(lambda: beside.count[1] == 128, PATIENCE)
+    assert operator.wait(lambda: beside.count[1] == 72, PATIENCE)
     _, _, rows = beside.rows(-1, 0)
     table = readings(operator)
     assert rows == list(zip(table["setup_index"].astype(int).tolist(), table["displacement"].tolist(), strict=True))
-    assert len(live_session(*beside.session()).readings) == 128 and beside.missing == 0
+    assert len(live_session(*beside.session()).readings) == 72 and beside.missing == 0
     columns = {name: values.tolist() for name, values in beside.published.error_map.items()}
     heard = json.loads(operator.heard.published.document)["error_map"]
     assert list(zip(columns["ex"], columns["ey"], strict=True)) == [tuple(row[:2]) for row in heard["position_error"]]
-    assert len(beside.published.residuals["residual"]) == 128
+    assert len(beside.published.residuals["residual"]) == 72
     assert operator.wait(lambda: {one.node for one in beside.nodes()} == set(NODES), PATIENCE), beside.nodes()
     assert beside.ignored == (0, "")
     wanted = {f"{node}/{verb}" for node, verbs in SERVICES.items() for verb in verbs}
@@ -198,7 +198,7 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     # a reading is captured at the end of the dwell, and logged before the next move ends
     stamped = [(message.log_time, joint_state(message.data).stamp) for message in bag.messages(["/reading"])]
     late = np.array([(logged - stamp) * 1e-9 for logged, stamp in stamped])
-    assert len(late) == 128 and np.median(late) == pytest.approx(0.05, abs=1e-6)
+    assert len(late) == 72 and np.median(late) == pytest.approx(0.05, abs=1e-6)
     for message in bag.messages():
         header = getattr(bag.decode(message), "header", None)
         if header is not None:
