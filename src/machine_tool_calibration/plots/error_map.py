@@ -11,21 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.error_motions import SQUARENESS
-from machine_tool_calibration.plots.style import (
-    BAND,
-    COLORS,
-    DIVERGING,
-    FOUND,
-    MARKERS,
-    NOMINAL,
-    draw_band,
-    mark_lost,
-    new_figure,
-    numbers,
-    round_down,
-    scale_bar,
-    spaced,
-)
+from machine_tool_calibration.plots import style
 from machine_tool_calibration.reports.quantities import as_exact, quantity
 from machine_tool_calibration.words import say, together
 
@@ -62,7 +48,7 @@ def draw_motions(tables: Mapping[str, Array], squareness: Mapping[str, tuple[flo
     """
     axes = [axis for axis in "XYZABC" if any(name[2] == axis for name in tables)]
     kinds = sorted(set(map(_kind, tables)))
-    figure = new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(squareness))
+    figure = style.new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(squareness))
     panels = figure.subplots(len(axes), len(kinds), squeeze=False)
     for row, axis in zip(panels, axes, strict=True):
         for panel, kind in zip(row, kinds, strict=True):
@@ -83,13 +69,13 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
     factor, unit = (180 / np.pi, "°") if rotary else (1e3, "mm")
     for k, (name, table) in enumerate(sorted(tables.items())):
         where, value, u = table[:, 0] * factor, table[:, 1] * 1e6, 1e6 * table[:, 2]
-        mark = {"marker": MARKERS[k % len(MARKERS)], "ms": 3.5, "lw": 1.2, "label": name}
-        draw_band(panel, where, value, u, COLORS[k % len(COLORS)], **mark)
+        mark = {"marker": style.MARKERS[k % len(style.MARKERS)], "ms": 3.5, "lw": 1.2, "label": name}
+        style.draw_band(panel, where, value, u, style.COLORS[k % len(style.COLORS)], **mark)
     panel.axhline(0.0, color="0.75", lw=0.8, zorder=0)
     if not any(np.nan_to_num(table[:, 2]).any() for table in tables.values()):
         # Nothing but the datum has a value.
         panel.set(xticks=[], yticks=[])
-        mark_lost(panel, 0.6)
+        style.mark_lost(panel, 0.6)
     panel.set_xlabel(f"{axis}, {unit}")
     panel.set_ylabel("µrad" if next(iter(tables))[1] in "ABC" else "µm")
     panel.legend(fontsize="small", frameon=False, ncols=len(tables), loc="lower left", bbox_to_anchor=(0.0, 0.99))
@@ -134,7 +120,7 @@ class _Map:
 
 def draw_plane(content: Mapping[str, Any]) -> Figure:
     """The map of points that lie in one plane of the machine, seen across it; any other as `draw_map` draws it."""
-    points, *errors = (numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
+    points, *errors = (style.numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
     across, *plane = np.argsort(np.ptp(points, axis=0), kind="stable").tolist()
     if np.ptp(points[:, across]) > _FLAT:
         return draw_map(content)
@@ -151,7 +137,7 @@ def draw_map(content: Mapping[str, Any], plane: str = "xy") -> Figure:
     panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction that is
     determined nowhere is drawn as without error, and named in the title.
     """
-    parts = (numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
+    parts = (style.numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
     whole, unknown = _known(_Map(*parts), f"{plane}z")
     flat = whole.error.shape[1] == 2
     layers = [("", whole)] if flat else _layers(whole)
@@ -159,7 +145,7 @@ def draw_map(content: Mapping[str, Any], plane: str = "xy") -> Figure:
     columns = {1: 1, 2: 2, 4: 2}.get(len(layers), 3)
     rows = -(-len(layers) // columns)
     size = (7.2, 7.4) if columns == 1 else (4.6 * columns, 4.7 * rows + 0.6)
-    figure = new_figure(*size, together((*_headline(whole, scale), *unknown), "\n"))
+    figure = style.new_figure(*size, together((*_headline(whole, scale), *unknown), "\n"))
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).reshape(-1)
     limit = 0.0 if flat else 1e6 * float(np.nanmax(np.abs(whole.error[:, 2]), initial=0.0))
     drawn = _Drawing(scale, _larger(whole, scale), limit, float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0)))
@@ -210,9 +196,9 @@ class _Drawing:
 
 def _headline(whole: _Map, scale: float) -> Iterator[str]:
     if not whole.good.any():
-        yield say("picture.no_target", scale=spaced(scale))
+        yield say("picture.no_target", scale=style.spaced(scale))
         return
-    yield say("picture.magnified", scale=spaced(scale))
+    yield say("picture.magnified", scale=style.spaced(scale))
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
     # Along a direction that was not measured there is none.
     expanded = 2 * float(np.linalg.norm(np.nan_to_num(whole.uncertainty[whole.good]), axis=1).max())
@@ -230,34 +216,36 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
     pairs = neighbours(layer.points[:, :2])
     if 2 * len(pairs) < len(nominal):
         pairs = pairs[:0]
-    for places, color, width in ((nominal, NOMINAL, 0.8), (found, FOUND, 1.0)):
+    for places, color, width in ((nominal, style.NOMINAL, 0.8), (found, style.FOUND, 1.0)):
         panel.add_collection(LineCollection(list(places[pairs]), colors=color, linewidths=width, zorder=1))
     if not len(pairs):
         # No grid: each point is joined to its own nominal place.
         own = np.stack([nominal[good], found[good]], axis=1)
-        panel.add_collection(LineCollection(list(own), colors=FOUND, linewidths=1.0, zorder=1))
+        panel.add_collection(LineCollection(list(own), colors=style.FOUND, linewidths=1.0, zorder=1))
     if good.sum() <= _MOST_ELLIPSES:
         size = 4 * larger * scale * layer.uncertainty[good][:, :2] * 1e3
         panel.add_collection(
             EllipseCollection(
                 size[:, 0], size[:, 1], np.zeros(len(size)), units="xy", offsets=found[good],
-                offset_transform=panel.transData, facecolor="none", edgecolor=BAND, lw=1.1, zorder=2,
+                offset_transform=panel.transData, facecolor="none", edgecolor=style.BAND, lw=1.1, zorder=2,
             )
         )  # fmt: skip
         # Room for the ellipses, but not for one that hardly anything determines.
         reach = np.minimum(size / 2, _ROOM * np.ptp(nominal, axis=0).max())
         panel.update_datalim(np.vstack([found[good] - reach, found[good] + reach]))
         text = say("picture.U_larger" if larger > 1 else "head.U2", times=f"{larger:g}")
-        panel.plot([], [], "o", mfc="none", mec=BAND, label=text)
-    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=NOMINAL, ms=4, label=say("picture.nominal"), zorder=2)
+        panel.plot([], [], "o", mfc="none", mec=style.BAND, label=text)
+    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=style.NOMINAL, ms=4, label=say("picture.nominal"), zorder=2)
     if layer.error.shape[1] == 3:
         across = layer.error[good][:, 2] * 1e6
         panel.scatter(
-            found[good, 0], found[good, 1], s=34, c=across, cmap=DIVERGING, vmin=-limit, vmax=limit, ec="0.2", lw=0.5,
-            label=say("picture.measured"), zorder=3,
+            found[good, 0], found[good, 1], s=34, c=across, cmap=style.DIVERGING, vmin=-limit, vmax=limit, ec="0.2",
+            lw=0.5, label=say("picture.measured"), zorder=3,
         )  # fmt: skip
     else:
-        panel.plot(found[good, 0], found[good, 1], "o", color=FOUND, ms=4, label=say("picture.measured"), zorder=3)
+        panel.plot(
+            found[good, 0], found[good, 1], "o", color=style.FOUND, ms=4, label=say("picture.measured"), zorder=3
+        )
     if not good.all():
         panel.plot(
             nominal[~good, 0], nominal[~good, 1], "x", color="black", ms=6, label=say("text.not_determined"), zorder=3
@@ -266,7 +254,7 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
     panel.margins(0.08)
     drawn = np.vstack([nominal, found[good]])
     if drawing.largest > 0:
-        scale_bar(panel, scale, drawing.largest, drawn.min(axis=0), drawn.max(axis=0))
+        style.scale_bar(panel, scale, drawing.largest, drawn.min(axis=0), drawn.max(axis=0))
 
 
 def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit: float, plane: str) -> None:
@@ -291,7 +279,7 @@ def _larger(whole: _Map, scale: float) -> float:
     """How much larger than the errors the ellipses must be drawn to be seen beside their points."""
     typical = scale * 2 * float(np.nanmedian(whole.uncertainty[:, :2])) if whole.good.any() else 0.0
     seen = _SMALLEST_ELLIPSE * float(np.ptp(whole.points[:, :2], axis=0).max(initial=0.0))
-    return 1.0 if not typical > 0 or typical >= seen else max(round_down(2 * seen / typical), 1.0)
+    return 1.0 if not typical > 0 or typical >= seen else max(style.round_down(2 * seen / typical), 1.0)
 
 
 def neighbours(points: Array) -> np.ndarray:
@@ -314,4 +302,4 @@ def _magnification(layer: _Map, whole: _Map) -> float:
     spread = float(np.ptp(layer.points[:, :2], axis=0).max(initial=0.0)) / np.sqrt(max(len(layer.points), 1))
     smallest = min(even, default=spread) or 0.1
     largest = float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0))
-    return round_down(_ERROR_SHARE * smallest / largest) if largest > 0 else 1.0
+    return style.round_down(_ERROR_SHARE * smallest / largest) if largest > 0 else 1.0

@@ -11,17 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.probing.features import Features
 from machine_tool_calibration.methods.probing.geometry import Circle, Line
-from machine_tool_calibration.plots.style import (
-    BAND,
-    COLORS,
-    FOUND,
-    NOMINAL,
-    magnification,
-    name_axes,
-    new_figure,
-    scale_bar,
-    spaced,
-)
+from machine_tool_calibration.plots import style
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
@@ -54,26 +44,28 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
     corners = np.array([one.place for one in centres] + [end for places, _, _ in ends for end in places])
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) > 1 else 0.0
     extent = extent or 2 * max((one.radius for one in centres), default=0.5)
-    scale = magnification(largest, extent, _LENGTH)
-    figure = new_figure(8.5, 8.5, title or say("picture.features", datum=found.datum))
+    scale = style.magnification(largest, extent, _LENGTH)
+    figure = style.new_figure(8.5, 8.5, title or say("picture.features", datum=found.datum))
     panel = figure.subplots()
     for one, index in zip(centres, indices, strict=False):
         _draw_centre(panel, one, found, index, scale)
     for wall, (places, off, u) in zip(walls, ends, strict=True):
         _draw_wall(panel, wall, places, off, u, scale)
-    for (what, values), color in zip((beside or {}).items(), COLORS[1:], strict=False):
+    for (what, values), color in zip((beside or {}).items(), style.COLORS[1:], strict=False):
         for one, index in zip(centres, indices, strict=False):
             ends_at = np.array([one.place, one.place + scale * values[index]])
             panel.plot(*(1e3 * ends_at.T), ls="-", lw=1.0, color=color)
             panel.plot(*(1e3 * ends_at[1]), marker="o", ms=3, mfc="none", color=color)
         panel.plot([], [], ls="-", marker="o", ms=3, mfc="none", lw=1.0, color=color, label=what)
-    panel.plot([], [], "+", color=NOMINAL, label=say("picture.nominal"))
-    panel.plot([], [], "o-", ms=2, lw=1, color=FOUND, label=say("picture.identified_scale", scale=spaced(scale)))
-    panel.plot([], [], color=BAND, label=say("picture.ellipse"))
+    panel.plot([], [], "+", color=style.NOMINAL, label=say("picture.nominal"))
+    panel.plot(
+        [], [], "o-", ms=2, lw=1, color=style.FOUND, label=say("picture.identified_scale", scale=style.spaced(scale))
+    )
+    panel.plot([], [], color=style.BAND, label=say("picture.ellipse"))
     panel.set_aspect("equal")
-    name_axes(panel, 0, 1)
+    style.name_axes(panel, 0, 1)
     box = panel.dataLim
-    scale_bar(panel, scale, largest, np.array([box.x0, box.y0]), np.array([box.x1, box.y1]))
+    style.scale_bar(panel, scale, largest, np.array([box.x0, box.y0]), np.array([box.x1, box.y1]))
     panel.margins(0.08)
     panel.legend(loc="upper right", fontsize="small")
     return figure
@@ -90,9 +82,9 @@ def _ends(found: Features, wall: Line, index: list[int]) -> tuple[Array, Array, 
 
 def _draw_centre(panel: Axes, one: Circle, found: Features, index: list[int], scale: float) -> None:
     nominal, deviation = 1e3 * one.place, found.deviation[index]
-    panel.plot(*nominal, "+", color=NOMINAL, ms=9)
+    panel.plot(*nominal, "+", color=style.NOMINAL, ms=9)
     outline = nominal[:, None] + 1e3 * one.radius * np.array([np.cos(_ROUND), np.sin(_ROUND)])
-    panel.plot(*outline, color=NOMINAL, lw=0.7)
+    panel.plot(*outline, color=style.NOMINAL, lw=0.7)
     if not np.all(np.isfinite(deviation)):
         panel.plot(*nominal, "x", color="black")
         _label(panel, say("picture.name_lost", name=one.name), nominal)
@@ -101,19 +93,19 @@ def _draw_centre(panel: Axes, one: Circle, found: Features, index: list[int], sc
     values, vectors = np.linalg.eigh(found.uncertainty_matrix[np.ix_(index, index)])
     axes = vectors * np.sqrt(np.maximum(values, 0.0)) * _ELLIPSE
     ring = moved[:, None] + 1e3 * scale * axes @ np.array([np.cos(_ROUND), np.sin(_ROUND)])
-    panel.plot(*ring, color=BAND, lw=1.0)
-    panel.plot(*np.column_stack([nominal, moved]), color=FOUND, lw=1.0)
-    panel.plot(*moved, "o", color=FOUND, ms=2)
+    panel.plot(*ring, color=style.BAND, lw=1.0)
+    panel.plot(*np.column_stack([nominal, moved]), color=style.FOUND, lw=1.0)
+    panel.plot(*moved, "o", color=style.FOUND, ms=2)
     _label(panel, one.name, nominal)
 
 
 def _draw_wall(panel: Axes, one: Line, places: Array, off: Array, u: Array, scale: float) -> None:
-    panel.plot(*(1e3 * places.T), color=NOMINAL, lw=1.2)
+    panel.plot(*(1e3 * places.T), color=style.NOMINAL, lw=1.2)
     _label(panel, one.name, 1e3 * one.place)
     if not np.all(np.isfinite(off)):
         panel.plot(*(1e3 * one.place), "x", color="black")
         return
-    for sign, color in ((-2.0, BAND), (2.0, BAND), (0.0, FOUND)):
+    for sign, color in ((-2.0, style.BAND), (2.0, style.BAND), (0.0, style.FOUND)):
         drawn = places + scale * (off + sign * u)[:, None] * one.normal
         panel.plot(*(1e3 * drawn.T), color=color, lw=1.0)
 

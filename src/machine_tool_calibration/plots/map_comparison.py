@@ -9,17 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.map_comparison import MapComparison
-from machine_tool_calibration.plots.style import (
-    BAND,
-    COLORS,
-    MARKERS,
-    NOMINAL,
-    magnification,
-    name_axes,
-    new_figure,
-    scale_bar,
-    spaced,
-)
+from machine_tool_calibration.plots import style
 from machine_tool_calibration.reports.quantities import p_value
 from machine_tool_calibration.words import say
 
@@ -45,23 +35,23 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     key = "picture.maps_agree" if comparison.agree else "picture.maps_differ"
     numbers = {"n": comparison.beyond, "count": comparison.count}
     if comparison.p_value is None:
-        figure = new_figure(12.4, 6.4, say(key, **numbers))
+        figure = style.new_figure(12.4, 6.4, say(key, **numbers))
     else:
-        figure = new_figure(12.4, 6.4, say(f"{key}_p", p=p_value(comparison.p_value), **numbers))
+        figure = style.new_figure(12.4, 6.4, say(f"{key}_p", p=p_value(comparison.p_value), **numbers))
     left, right = figure.subplots(1, 2)
     if len(axes) > 1:
         _places(left, comparison, (int(axes[0]), int(axes[1])))
     else:
         _profiles(left, comparison, int(axes[0]))
     number = np.arange(len(comparison.points)) + 1
-    right.axhspan(-1.0, 1.0, color=BAND, alpha=0.18, lw=0)
+    right.axhspan(-1.0, 1.0, color=style.BAND, alpha=0.18, lw=0)
     right.axhline(0.0, color="0.6", lw=0.8)
     for k, j in enumerate(axes):
         right.plot(
             number,
             comparison.normalised[:, j],
-            MARKERS[k + 2],
-            color=COLORS[k + 2],
+            style.MARKERS[k + 2],
+            color=style.COLORS[k + 2],
             ms=5,
             label=say("picture.along", axis="xyz"[j]),
         )
@@ -81,21 +71,23 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
     both = [1e3 * values[:, pick] for values in (comparison.first, comparison.second)]
     largest = 1e-3 * float(np.nanmax(np.abs(both), initial=0.0))
     extent = 1e-3 * float(np.ptp(nominal, axis=0).max())
-    scale = magnification(largest, extent, _ERROR_SHARE)
-    panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label=say("picture.commanded"))
+    scale = style.magnification(largest, extent, _ERROR_SHARE)
+    panel.plot(*nominal.T, "+", color=style.NOMINAL, ms=8, label=say("picture.commanded"))
     drawn = [nominal]
     for k, (values, label) in enumerate(zip(both, comparison.labels, strict=True)):
         found = nominal + scale * values
-        panel.add_collection(LineCollection(list(np.stack([nominal, found], axis=1)), colors=COLORS[k], linewidths=0.8))
-        panel.plot(*found.T, MARKERS[k], color=COLORS[k], ms=6 - 2 * k, label=label)
+        panel.add_collection(
+            LineCollection(list(np.stack([nominal, found], axis=1)), colors=style.COLORS[k], linewidths=0.8)
+        )
+        panel.plot(*found.T, style.MARKERS[k], color=style.COLORS[k], ms=6 - 2 * k, label=label)
         drawn.append(found[np.isfinite(found).all(axis=1)])
     shown = np.concatenate(drawn)
     if largest > 0:
-        scale_bar(panel, scale, largest, shown.min(axis=0), shown.max(axis=0))
+        style.scale_bar(panel, scale, largest, shown.min(axis=0), shown.max(axis=0))
     panel.set_aspect("equal")
     panel.margins(0.08)
-    name_axes(panel, *axes)
-    panel.set_title(say("picture.errors_magnified", scale=spaced(scale)), fontsize="medium")
+    style.name_axes(panel, *axes)
+    panel.set_title(say("picture.errors_magnified", scale=style.spaced(scale)), fontsize="medium")
     panel.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
 
 
@@ -108,7 +100,7 @@ def _profiles(panel: Axes, comparison: MapComparison, axis: int) -> None:
     for k, ((value, u), label) in enumerate(zip(pairs, comparison.labels, strict=True)):
         panel.errorbar(
             where[order], 1e6 * value[order, axis], 2e6 * u[order, axis],
-            fmt=f"{MARKERS[k]}-", color=COLORS[k], ms=5, lw=1.2, capsize=3, label=label,
+            fmt=f"{style.MARKERS[k]}-", color=style.COLORS[k], ms=5, lw=1.2, capsize=3, label=label,
         )  # fmt: skip
     panel.set_xlabel(f"{'xyz'[along]}, mm")
     panel.set_ylabel(say("picture.error_bars", axis="xyz"[axis]))

@@ -14,21 +14,7 @@ from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.comparison import comparison_tables, in_words
 from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.workbench.look import (
-    BUTTON,
-    DIM,
-    bar_button,
-    beside,
-    choice,
-    controls,
-    folded,
-    new_figure,
-    paragraphs,
-    tables,
-    text,
-    when_changed,
-    zero_line,
-)
+from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
@@ -56,34 +42,38 @@ class ComparePage:
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
-        self._words, self._setups, self._more, self._table = text(), text(), text(), text()
-        self._count = text("", min_width=150)
+        self._words, self._setups, self._more, self._table = look.text(), look.text(), look.text(), look.text()
+        self._count = look.text("", min_width=150)
         self._against = [
-            choice(f"Plot {k + 1}: residuals against", partial(self._draw_against, k), width=300) for k in (0, 1)
+            look.choice(f"Plot {k + 1}: residuals against", partial(self._draw_against, k), width=300) for k in (0, 1)
         ]
-        self._plane = choice("Map in the plane", lambda _: self._draw_plane(), width=100)
+        self._plane = look.choice("Map in the plane", lambda _: self._draw_plane(), width=100)
         self._legend = pn.widgets.CheckButtonGroup(margin=(3, 4))
-        when_changed(self._legend, lambda _: self._show_setups())
+        look.when_changed(self._legend, lambda _: self._show_setups())
         self._shown = pn.Row(pn.pane.HTML("<label>Setups shown</label>", margin=(8, 4)), self._legend)
         source = readings.source(self.title, "row", "setup", "repeat", "color", "residual", "studentized", *_DRAWN)
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
         self._draw(source)
         self._rows = pn.widgets.TextInput(name="Select rows", placeholder="264, 470-476", width=120)
-        when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
-        self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
-        self._back = bar_button("Put back", self._put_back, disabled=True)
-        self._look = bar_button("Select those set aside", lambda: readings.select(state.model.aside), visible=False)
-        self._cleared = bar_button("Clear the selection", self._clear)
-        self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
+        look.when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
+        self._aside = look.bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
+        self._back = look.bar_button("Put back", self._put_back, disabled=True)
+        self._look = look.bar_button(
+            "Select those set aside", lambda: readings.select(state.model.aside), visible=False
+        )
+        self._cleared = look.bar_button("Clear the selection", self._clear)
+        self._suggest = look.bar_button(
+            "Select what does not belong to the rest", self._select_suggested, visible=False
+        )
         buttons = (self._aside, self._back, self._look, self._cleared, self._suggest)
         self.view = pn.Column(
             self._words,
-            controls(*self._against, self._plane, self._rows, *buttons),
+            look.controls(*self._against, self._plane, self._rows, *buttons),
             pn.Row(self._shown, self._count, sizing_mode="stretch_width"),
-            beside(*self._plots),
-            beside(self._map, self._strip),
-            beside(self._setups, self._table, least=560),
-            folded("By repeat, region, direction of approach and covariate", self._more),
+            look.beside(*self._plots),
+            look.beside(self._map, self._strip),
+            look.beside(self._setups, self._table, least=560),
+            look.folded("By repeat, region, direction of approach and covariate", self._more),
             sizing_mode="stretch_width",
         )
 
@@ -91,22 +81,22 @@ class ComparePage:
         """The plots, which show the same readings, and those set aside as crosses."""
         self._view = CDSView(filter=AllIndices())
         shown = {"source": source, "view": self._view}
-        look = {"fill_color": "#009e73", "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
-        self._band = [BoxAnnotation(**look) for _ in range(3)]
-        new = partial(new_figure, height=_HEIGHT, hover=_HOVER)
+        faint_green = {"fill_color": "#009e73", "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
+        self._band = [BoxAnnotation(**faint_green) for _ in range(3)]
+        new = partial(look.new_figure, height=_HEIGHT, hover=_HOVER)
         self._plots = [new("Residuals", "", "residual, µm") for _ in (1, 2)]
         for k, plot in enumerate(self._plots):
             x = f"against{k}"
-            plot.scatter(x, "residual", **shown, size=4, color="color", alpha=0.7, **DIM)
+            plot.scatter(x, "residual", **shown, size=4, color="color", alpha=0.7, **look.DIM)
             plot.scatter(x, "aside", **shown, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
-            zero_line(plot)
+            look.zero_line(plot)
             plot.add_layout(self._band[k])
         self._map = new("Residuals as arrows", "", "", match_aspect=True)
         self._map.scatter("across", "up", **shown, size=3, color="#999999", nonselection_alpha=0.3)
         faint = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
         self._map.segment("across", "up", "u", "v", **shown, color="arrow", line_width=1.3, **faint)
         self._strip = new("Residuals by setup, worst on top", "residual, µm", "", y_range=FactorRange())
-        self._strip.scatter("residual", "setup", **shown, size=4, color="color", alpha=0.5, **DIM)
+        self._strip.scatter("residual", "setup", **shown, size=4, color="color", alpha=0.5, **look.DIM)
         self._strip.add_layout(self._band[2])
 
     def refresh(self) -> None:
@@ -115,7 +105,7 @@ class ComparePage:
         found = model.comparison
         every = list(comparison_tables(found))
         setups = ["/".join(names) for names in found.setups.filter(["session", "name"]).to_numpy()]
-        self._words.object = paragraphs([in_words(found)])
+        self._words.object = look.paragraphs([in_words(found)])
         wide = 2e6 * rms(np.concatenate([one.fit.model.sigma for one in model.each]))
         for band in self._band:
             band.update(bottom=-wide, top=wide)
@@ -127,7 +117,7 @@ class ComparePage:
             self._draw_against(k, self._against[k].value)
         self._strip.y_range.factors = setups[::-1]
         first = 2 if found.labels is None else 3
-        self._setups.object, self._more.object = tables(every[:first]), tables(every[first:])
+        self._setups.object, self._more.object = look.tables(every[:first]), look.tables(every[first:])
         self._back.disabled = not model.aside
         self._look.visible = bool(model.aside)
         self._suggest.visible = bool(self._state.model.found.keys() - model.aside - model.kept)
@@ -143,7 +133,7 @@ class ComparePage:
                 f".bk-btn:nth-child({k}) {{ border-bottom: 4px solid #{c >> 8:06x} !important; }}" for k, c in colors
             ]
             self._legend.param.update(options=list(setups)[:_BUTTONS], value=list(setups)[:_BUTTONS])
-            self._legend.stylesheets = [BUTTON, ".bk-btn:not(.bk-active) { opacity: 0.4; }", *edges]
+            self._legend.stylesheets = [look.BUTTON, ".bk-btn:not(.bk-active) { opacity: 0.4; }", *edges]
             self._shown.visible = 1 < len(setups) <= _BUTTONS
         options = {self._readings.labels[name]: name for name in self._readings.ranked}
         if self._against[0].options == options and self._plane.options == self._readings.planes:
@@ -182,7 +172,7 @@ class ComparePage:
         words += " (× in the plots)" if aside else ""
         words += f"; {len(model.kept)} kept" if model.kept else ""
         self._count.object = escape(words)
-        self._table.object = tables([self._listed()])
+        self._table.object = look.tables([self._listed()])
 
     def _listed(self) -> TextTable:
         """The readings that are selected, or those that fit worst."""

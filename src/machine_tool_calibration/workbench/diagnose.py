@@ -13,20 +13,7 @@ from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.goodness import negative_words
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
-from machine_tool_calibration.workbench.look import (
-    DIM,
-    bar_button,
-    beside,
-    choice,
-    controls,
-    folded,
-    legend_above,
-    new_figure,
-    paragraphs,
-    tables,
-    text,
-    zero_line,
-)
+from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.own_effect import OwnEffect, addable
 from machine_tool_calibration.workbench.readings import Readings
@@ -54,27 +41,27 @@ class DiagnosePage:
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
         self._trial: Model | None = None
-        self._words, self._more, self._said, self._tables = text(), text(), text(), text()
+        self._words, self._more, self._said, self._tables = look.text(), look.text(), look.text(), look.text()
         self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
         self._line = ColumnDataSource({"x": [], "y": []})
         plots = self._plots(readings.source(self.title, "row", "setup", "repeat", "color", *_DRAWN))
-        self._against = choice("Residuals against", lambda _: self._draw_against(), width=400)
-        self._effect = choice("Effect", self._look_at, width=230, options=[""])
-        self._add = bar_button("Add it to the model", self._use, "primary", disabled=True)
-        look, add = "looking for what is missing", "adding what was found"
-        self._all = bar_button(
-            "Add all that the diagnosis names", lambda: work.run(add, state.improved()), disabled=True
+        self._against = look.choice("Residuals against", lambda _: self._draw_against(), width=400)
+        self._effect = look.choice("Effect", self._look_at, width=230, options=[""])
+        self._add = look.bar_button("Add it to the model", self._use, "primary", disabled=True)
+        searching, adding = "looking for what is missing", "adding what was found"
+        self._all = look.bar_button(
+            "Add all that the diagnosis names", lambda: work.run(adding, state.improved()), disabled=True
         )
-        search = bar_button("Look for what is missing", lambda: work.run(look, state.diagnosed()), "primary")
+        search = look.bar_button("Look for what is missing", lambda: work.run(searching, state.diagnosed()), "primary")
         self._own = OwnEffect(state, self._new_effect)
         self.view = pn.Column(
-            controls(search, self._effect, self._against, self._add, self._all),
+            look.controls(search, self._effect, self._against, self._add, self._all),
             self._words,
             self._said,
-            beside(*plots, least=400),
+            look.beside(*plots, least=400),
             self._more,
             self._own.view,
-            folded(
+            look.folded(
                 "All that was looked for: sizes, confounded effects, what to measure next, smallest sizes, and why "
                 "some were not looked for",
                 self._tables,
@@ -84,7 +71,7 @@ class DiagnosePage:
 
     def _plots(self, source: ColumnDataSource) -> tuple[Any, ...]:
         """The ranking, the pattern over the residuals, and both against each other."""
-        bars, new = self._bars, partial(new_figure, height=330)
+        bars, new = self._bars, partial(look.new_figure, height=330)
         self._ranking = new("Probability that it is missing", "", "", y_range=FactorRange(), x_range=(0, 1.15))
         self._ranking.hbar("effect", 0.7, "probability", source=bars, color="color", nonselection_alpha=0.5)
         self._ranking.text("probability", "effect", "words", source=bars, x_offset=4, y_offset=5, text_font_size="11px")
@@ -93,19 +80,19 @@ class DiagnosePage:
         bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
         self._over = new("Residuals, and what it would take out", "", "µm", hover=_HOVER)
         self._over.scatter(
-            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **DIM
+            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **look.DIM
         )
         self._over.scatter(
             "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
             legend_label="pattern", nonselection_alpha=0.15,
         )  # fmt: skip
-        legend_above(self._over)
+        look.legend_above(self._over)
         title = "Do the residuals follow it? (line: slope 1)"
         self._added = new(title, "pattern, µm", "residual, µm", hover=_HOVER)
-        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **DIM)
+        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **look.DIM)
         self._added.line("x", "y", source=self._line, color="#555555")
-        zero_line(self._over)
-        zero_line(self._added)
+        look.zero_line(self._over)
+        look.zero_line(self._added)
         return self._ranking, self._over, self._added
 
     def refresh(self) -> None:
@@ -122,15 +109,15 @@ class DiagnosePage:
         self._all.disabled = not state.lacking
         if found is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
-            self._words.object = paragraphs([said])
+            self._words.object = look.paragraphs([said])
             self._more.object = self._tables.object = ""
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
         then = found.conclusions
         report = diagnosis_report(found, then.advice, then.changes)
-        self._words.object = f"<b>{paragraphs(report.words[:1])}</b>"
-        self._more.object = paragraphs((*report.words[1:], *report.forecast))
-        self._tables.object = tables((*report.tables, *report.details))
+        self._words.object = f"<b>{look.paragraphs(report.words[:1])}</b>"
+        self._more.object = look.paragraphs((*report.words[1:], *report.forecast))
+        self._tables.object = look.tables((*report.tables, *report.details))
         ranked = [finding for finding in found.ranked if finding.rank][:_BARS]
         names = [finding.name for finding in ranked]
         self._ranking.y_range.factors = names[::-1]

@@ -10,18 +10,7 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import of_map, quantity
-from machine_tool_calibration.workbench.look import (
-    MapPlot,
-    bar_button,
-    beside,
-    choice,
-    controls,
-    legend_above,
-    magnification,
-    new_figure,
-    tables,
-    text,
-)
+from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.own_effect import addable
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
@@ -43,33 +32,33 @@ class ImprovePage:
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
-        self._add = choice("Add an effect", lambda name: self._changed(add=name), width=210, options=[""])
-        self._take = choice("Take an effect away", lambda name: self._changed(take=name), width=210, options=[""])
-        self._go = choice("Go to a model of the history", self._gone_to, width=210, options=[""])
-        self._before = choice("Compare with", lambda _: self._draw(), width=210)
-        self._plane = choice("Maps in the plane", lambda _: self._draw(), width=110)
-        self._undo = bar_button("Undo", lambda: work.alone(state.undo))
-        self._all = bar_button("Diagnose, and add all that is found", self._improve, "primary")
-        self._table, self._history, self._note, self._scale = text(), text(), text(), text()
+        self._add = look.choice("Add an effect", lambda name: self._changed(add=name), width=210, options=[""])
+        self._take = look.choice("Take an effect away", lambda name: self._changed(take=name), width=210, options=[""])
+        self._go = look.choice("Go to a model of the history", self._gone_to, width=210, options=[""])
+        self._before = look.choice("Compare with", lambda _: self._draw(), width=210)
+        self._plane = look.choice("Maps in the plane", lambda _: self._draw(), width=110)
+        self._undo = look.bar_button("Undo", lambda: work.alone(state.undo))
+        self._all = look.bar_button("Diagnose, and add all that is found", self._improve, "primary")
+        self._table, self._history, self._note, self._scale = look.text(), look.text(), look.text(), look.text()
         self._draw_steps()
         source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", *_DRAWN)
         self._residuals, self._maps = {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
-            plot = self._residuals[name] = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=_HEIGHT)
+            plot = self._residuals[name] = look.new_figure("", "", "", hover=_HOVER, match_aspect=True, height=_HEIGHT)
             plot.scatter("place_a", "place_b", source=source, size=3, color="#999999", nonselection_alpha=0.3)
             ends = ("place_a", "place_b", f"{name}_u", f"{name}_v")
             plot.segment(*ends, source=source, color="color", line_width=1.2, **_DIM)
             plot.toolbar_location = None
-            self._maps[name] = MapPlot(color)
+            self._maps[name] = look.MapPlot(color)
         # Both of a pair are seen in the same frame.
         maps = {name: one.plot for name, one in self._maps.items()}
         for pair in (self._residuals, maps):
             pair["after"].x_range, pair["after"].y_range = pair["before"].x_range, pair["before"].y_range
         self.view = pn.Column(
-            controls(self._all, self._undo, self._add, self._take, self._go, self._before, self._plane),
+            look.controls(self._all, self._undo, self._add, self._take, self._go, self._before, self._plane),
             self._note,
-            beside(self._fall, self._table),
-            beside(*self._residuals.values(), *maps.values(), least=300),
+            look.beside(self._fall, self._table),
+            look.beside(*self._residuals.values(), *maps.values(), least=300),
             self._scale,
             self._history,
             sizing_mode="stretch_width",
@@ -78,17 +67,17 @@ class ImprovePage:
     def _draw_steps(self) -> None:
         """The error from model to model."""
         self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
-        self._fall = new_figure("", "", "µm", x_range=FactorRange(), height=_HEIGHT)
+        self._fall = look.new_figure("", "", "µm", x_range=FactorRange(), height=_HEIGHT)
         for name, color, marker, label in (
             ("residual", _BEFORE, "circle", "residual, RMS"),
             ("tool", _AFTER, "square", "residual volumetric error by the last model made (95 %), RMS"),
         ):
-            look = {"source": self._steps, "color": color, "legend_label": label}
-            self._fall.line("step", name, **look)
-            self._fall.scatter("step", name, size=7, marker=marker, **look)
+            drawn = {"source": self._steps, "color": color, "legend_label": label}
+            self._fall.line("step", name, **drawn)
+            self._fall.scatter("step", name, size=7, marker=marker, **drawn)
         self._fall.y_range.start = 0.0
         self._fall.xaxis.major_label_orientation = 0.4
-        legend_above(self._fall)
+        look.legend_above(self._fall)
         self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
         self._fall.add_layout(self._declared)
 
@@ -107,7 +96,7 @@ class ImprovePage:
         self._plane.param.update(options=there, value=self._plane.value if self._plane.value in there else there[0])
         self._before.param.update(options=names, value=max(len(state.models) - 2, 0))
         tried = state.history
-        self._history.object = tables([tried_models(tried.models, tried.current)]) if tried.models else ""
+        self._history.object = look.tables([tried_models(tried.models, tried.current)]) if tried.models else ""
         self._draw_fall()
         self._draw()
 
@@ -140,10 +129,10 @@ class ImprovePage:
         for before in (self._residuals["before"], self._maps["before"].plot, self._table):
             before.visible = changed
         every = state.entries()
-        self._table.object = tables([compared_models(every[k], every[-1])])
+        self._table.object = look.tables([compared_models(every[k], every[-1])])
         larger = self._readings.show_side_by_side(*pair.values())
         maps = {name: model.fit.result.error_map for name, model in pair.items()}
-        factor = magnification(list(maps.values()))
+        factor = look.magnification(list(maps.values()))
         words = ["Above the plots: RMS."]
         if larger:
             words.append(f"{self._readings.arrows}: {spaced(larger)} times magnified, in the colour of their setup.")

@@ -20,19 +20,8 @@ from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.quantities import expanded_text, micrometres, millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.live_feed import Feed
-from machine_tool_calibration.workbench.look import (
-    MapPlot,
-    bar_button,
-    beside,
-    choice,
-    html_table,
-    magnification,
-    new_figure,
-    tables,
-    text,
-    zero_line,
-)
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
@@ -99,29 +88,32 @@ class LivePage:
         self._counts: dict[int, tuple[int, float]] = {}
         self._map_number = 0
         self._offers: tuple[tuple[Offer, ...], tuple[str, ...]] = ((), ())
-        self._where, self._nodes, self._answers, self._setups = text(), text(), text(), text()
-        self._map_words, self._refusing = text(), text()
+        self._where, self._nodes, self._answers, self._setups = look.text(), look.text(), look.text(), look.text()
+        self._map_words, self._refusing = look.text(), look.text()
         self._bar = pn.indicators.Progress(value=0, max=100, width=130, height=16, margin=(10, 6))
-        self._count = text()
-        self._take = bar_button("Open in the other pages", self._take_over, "primary", disabled=True)
+        self._count = look.text()
+        self._take = look.bar_button("Open in the other pages", self._take_over, "primary", disabled=True)
         self._services = pn.FlexBox(sizing_mode="stretch_width")
-        self._question = text("", min_width=300)
+        self._question = look.text("", min_width=300)
         self._asked: Offer | None = None
         self._confirm = pn.Row(
-            self._question, bar_button("Yes", self._confirmed, "danger"), bar_button("No", self._refused), visible=False
+            self._question,
+            look.bar_button("Yes", self._confirmed, "danger"),
+            look.bar_button("No", self._refused),
+            visible=False,
         )
         self._plots()
         self.view = pn.Column(
             self._where,
             pn.Row(self._take, self._bar, self._count, sizing_mode="stretch_width"),
-            beside(
+            look.beside(
                 self._nodes,
                 pn.Column(
                     self._services, self._refusing, self._confirm, self._answers, sizing_mode="stretch_width",
                 ),
             ),
-            beside(self._readings, self._residuals),
-            beside(
+            look.beside(self._readings, self._residuals),
+            look.beside(
                 self._map.plot,
                 pn.Column(
                     self._plane, self._uncertainty, self._map_words, self._setups, sizing_mode="stretch_width",
@@ -135,25 +127,29 @@ class LivePage:
         """Readings, what the map leaves of them, its uncertainty, and itself."""
         self._points = ColumnDataSource({name: [] for name in _COLUMNS})
         self._left = ColumnDataSource({name: [] for name in _COLUMNS})
-        self._readings = new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
-        self._residuals = new_figure("Residuals of the map", "number of the reading", "residual, µm", hover=_HOVER)
+        self._readings = look.new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
+        self._residuals = look.new_figure("Residuals of the map", "number of the reading", "residual, µm", hover=_HOVER)
         for plot, source in ((self._readings, self._points), (self._residuals, self._left)):
             plot.visible = False
             plot.scatter("number", "value", source=source, size=4, color="color", alpha=0.7)
-        zero_line(self._residuals)
+        look.zero_line(self._residuals)
         # Both show the same readings one above the other in time.
         self._residuals.x_range = self._readings.x_range
         self._fall = ColumnDataSource({name: [] for name in ("number", "value", "shown", "determined")})
         hover = [("readings", "@number"), ("largest U", "@shown"), ("coordinates determined", "@determined")]
-        self._uncertainty = new_figure("Largest U (95 %) of a coordinate", "readings", "U, µm", hover=hover, height=220)
+        self._uncertainty = look.new_figure(
+            "Largest U (95 %) of a coordinate", "readings", "U, µm", hover=hover, height=220
+        )
         self._uncertainty.line("number", "value", source=self._fall, color="#0072b2")
         self._uncertainty.scatter("number", "value", source=self._fall, size=6, color="#0072b2")
         self._wanted = Span(dimension="width", line_color="#b36b00", line_dash="dashed", visible=False)
         self._uncertainty.add_layout(self._wanted)
         self._uncertainty.visible = False
-        self._map = MapPlot("#0072b2")
+        self._map = look.MapPlot("#0072b2")
         self._map.plot.visible = False
-        self._plane = choice("Map in the plane", lambda _: self._draw_map(), width=120, options=["xy"], visible=False)
+        self._plane = look.choice(
+            "Map in the plane", lambda _: self._draw_map(), width=120, options=["xy"], visible=False
+        )
 
     def refresh(self) -> None:
         """The measurement that is open has nothing to do with what is heard."""
@@ -205,9 +201,9 @@ class LivePage:
             said += f'<p class="note">The map of {count} readings is being calculated …</p>'
         if found is None:
             return said
-        factor = magnification([found.error_map])
+        factor = look.magnification([found.error_map])
         drawn = [("drawn", f"{spaced(factor)} times magnified; ellipses: U (95 %)")] if factor else []
-        return said + tables([TextTable(f"The map, {found.whose}", ("", ""), (*found.rows, *drawn))])
+        return said + look.tables([TextTable(f"The map, {found.whose}", ("", ""), (*found.rows, *drawn))])
 
     def _setup_table(self) -> str:
         if not self._counts:
@@ -218,7 +214,7 @@ class LivePage:
             left = micrometres(rms(own)) if len(own) else ""
             mark = f'<span style="color:{setup_color(setup)}">■</span>'
             rows.append((f"{mark} {escape(self._name(setup))}", str(count), _displacement(last), left))
-        return html_table("Setups", ("setup", "readings", "last one", "RMS residual / µm"), rows)
+        return look.html_table("Setups", ("setup", "readings", "last one", "RMS residual / µm"), rows)
 
     def _name(self, setup: int) -> str:
         names = self._feed.heard.setups
@@ -302,7 +298,9 @@ class LivePage:
             options = ["xyz"[a] + "xyz"[b] for a, b in planes(points, np.zeros_like(points))]
             if self._plane.options != options:
                 self._plane.param.update(options=options, value=options[0])
-            self._map.show(found.error_map, self._plane.value, magnification([found.error_map]), "Map of the errors")
+            self._map.show(
+                found.error_map, self._plane.value, look.magnification([found.error_map]), "Map of the errors"
+            )
 
     def _offer(self) -> None:
         """A button for each service that is there."""
@@ -310,7 +308,7 @@ class LivePage:
         if (heard.offers, heard.refusing) == self._offers:
             return
         self._offers = heard.offers, heard.refusing
-        self._services.objects = [bar_button(one.service, partial(self._ask, one)) for one in heard.offers]
+        self._services.objects = [look.bar_button(one.service, partial(self._ask, one)) for one in heard.offers]
         self._refusing.object = "".join(
             f'<p class="note">{escape(name)} does not allow its services to move axes.</p>' for name in heard.refusing
         )
@@ -383,7 +381,7 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
         device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
         named = f'<span class="short"><span style="color:{color}">{mark}</span> {escape(one.node)}</span>{device}'
         rows.append((named, f'<span class="short">{escape(word)}</span>', escape(one.message) + more))
-    return html_table("", ("node", "state", "what it says"), rows) if rows else ""
+    return look.html_table("", ("node", "state", "what it says"), rows) if rows else ""
 
 
 def _says(state: NodeState, key: str) -> bool:

@@ -17,21 +17,7 @@ from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.workbench.look import (
-    bar_button,
-    beside,
-    choice,
-    controls,
-    draw_stations,
-    folded,
-    legend_above,
-    map_arrows,
-    new_figure,
-    stations_of,
-    tables,
-    text,
-    typed_out,
-)
+from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.models import looked_ahead, planned
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
@@ -58,12 +44,12 @@ class PlanPage:
         self._every: list[Outlook] = []
         # The text of a procedure's file, where an outlook is that of a procedure.
         self._procedures: dict[int, str] = {}
-        self._words, self._table, self._plan = text(), text(), text()
-        self._choice = choice("Measurement that is shown", lambda _: self._draw(), options={"": 0}, width=500)
-        self._plane = choice("Drawn in the plane", lambda _: self._draw(), width=110)
+        self._words, self._table, self._plan = look.text(), look.text(), look.text()
+        self._choice = look.choice("Measurement that is shown", lambda _: self._draw(), options={"": 0}, width=500)
+        self._plane = look.choice("Drawn in the plane", lambda _: self._draw(), width=110)
         self._saved = Saved("Save its plan into the folder", width=380)
-        self._save = bar_button("Save the plan", self._write, disabled=True)
-        self._forecast = bar_button("Forecast it", self._forecast_it, disabled=True)
+        self._save = look.bar_button("Save the plan", self._write, disabled=True)
+        self._forecast = look.bar_button("Forecast it", self._forecast_it, disabled=True)
         self._form = ProcedureForm(self._formed)
         self._variant = pn.widgets.Select(name="Model", options=["default"], width=130)
         self._warming = pn.widgets.FloatInput(name="Warming of the air, K/h", value=1.0, step=0.5, width=150)
@@ -72,17 +58,17 @@ class PlanPage:
         )
         self._plots(readings)
         self.view = pn.Column(
-            controls(
-                bar_button("Look ahead", self._look_ahead, "primary"),
+            look.controls(
+                look.bar_button("Look ahead", self._look_ahead, "primary"),
                 self._choice, self._plane, self._saved.folder, self._save,
             ),
             self._saved.list,
             self._words,
             self._table,
-            beside(self._where, self._map),
-            folded(
+            look.beside(self._where, self._map),
+            look.folded(
                 "Another measurement, by a procedure",
-                controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
+                look.controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
                 self._plan,
             ),
             sizing_mode="stretch_width",
@@ -93,15 +79,15 @@ class PlanPage:
         names = ("x", "y", "z", "setup", "color")
         self._new = ColumnDataSource({name: [] for name in names})
         self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
-        self._where = new_figure("What is measured", "", "", height=330, hover=_HOVER, match_aspect=True)
+        self._where = look.new_figure("What is measured", "", "", height=330, hover=_HOVER, match_aspect=True)
         now = readings.source(self.title, "place_a", "place_b")
         self._where.scatter(
             "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
         )
         self._dots = self._where.scatter("x", "y", source=self._new, size=5, color="color", legend_label="with it")
-        self._marks = draw_stations(self._where, self._stations, "x", "y")
+        self._marks = look.draw_stations(self._where, self._stations, "x", "y")
         self._maps = {}
-        self._map = new_figure("Uncertainty of the map", "", "", height=330, hover=_MAP_HOVER, match_aspect=True)
+        self._map = look.new_figure("Uncertainty of the map", "", "", height=330, hover=_MAP_HOVER, match_aspect=True)
         for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
             source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
             glyph = self._map.ellipse(
@@ -111,7 +97,7 @@ class PlanPage:
             self._map.line([np.nan], [np.nan], line_color=color, line_width=1.5, legend_label=label)
             self._maps[name] = (source, glyph)
         for plot in (self._where, self._map):
-            legend_above(plot)
+            look.legend_above(plot)
 
     def refresh(self) -> None:
         """Forget what was calculated for another model; a procedure by itself does not depend on it."""
@@ -128,7 +114,7 @@ class PlanPage:
     def _show(self, every: list[Outlook], chosen: int = 0) -> None:
         self._every = every
         options = {one.words: k for k, one in enumerate(every) if one.words}
-        self._table.object = tables([outlook_table(every)]) if every else ""
+        self._table.object = look.tables([outlook_table(every)]) if every else ""
         self._choice.param.update(options=options or {"": 0}, value=chosen or next(iter(options.values()), 0))
         self._draw()
 
@@ -155,7 +141,7 @@ class PlanPage:
 
         def take(found: tuple[Outlook | None, Outlook, str]) -> None:
             now, then, words = found
-            self._plan.object = typed_out(words)
+            self._plan.object = look.typed_out(words)
             every = [*self._every, then] if now is None else [now, then]
             self._procedures[len(every) - 1] = content
             self._show(every, len(every) - 1)
@@ -187,7 +173,7 @@ class PlanPage:
         extent = float(np.ptp(now.points, axis=0).max()) if len(now.points) else 0.0
         factor = round_down(_LENGTH * extent / (2 * largest)) if largest > 0 and extent > 0 else 0.0
         for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
-            source.data = map_arrows(ErrorMap({}, one.points, np.zeros_like(one.points), one.uncertainty), factor)
+            source.data = look.map_arrows(ErrorMap({}, one.points, np.zeros_like(one.points), one.uncertainty), factor)
         self._where.title.text = f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
         self._map.title.text = f"Uncertainty of the map: U (95 %), {spaced(factor)} times magnified"
 
@@ -199,7 +185,7 @@ class PlanPage:
             "setup": [session.setup_ids[int(s)] for s in session.readings.setup],
             "color": [setup_color(int(s)) for s in session.readings.setup],
         }
-        self._stations.data = stations_of(session.description.setups, used)
+        self._stations.data = look.stations_of(session.description.setups, used)
 
     def _write(self) -> None:
         """The procedure's file, or a session folder whose readings are to be filled in."""
