@@ -22,7 +22,7 @@ from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.text import load_yaml
 from machine_tool_calibration.simulation import SimulationSpec, simulate
 from machine_tool_calibration.simulation.spec import PLANS
 

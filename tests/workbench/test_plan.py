@@ -13,7 +13,7 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.text import load_yaml
 from machine_tool_calibration.workbench.handed_over import reported
 from machine_tool_calibration.workbench.models import Subject, looked_ahead, planned
 from machine_tool_calibration.workbench.state import Job, State

@@ -10,9 +10,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints
 
 from machine_tool_calibration.budget.conformity import RULES
 from machine_tool_calibration.errors import did_you_mean
-from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.parse import parse_record
-from machine_tool_calibration.session.record import Record
+from machine_tool_calibration.session.record import Record, validated
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import read_text
 

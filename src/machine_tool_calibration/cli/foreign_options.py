@@ -151,8 +151,7 @@ def mapping_from(given: dict[str, Any], description: Path | None = None) -> tupl
     A UsageError if an option is not of its form; a CalibrationError if the file cannot be read.
     """
     from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
-    from machine_tool_calibration.session.text import read_text
-    from machine_tool_calibration.session.yaml_text import load_yaml
+    from machine_tool_calibration.session.text import read_yaml
 
     path = given["mapping"]
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
@@ -179,7 +178,7 @@ def mapping_from(given: dict[str, Any], description: Path | None = None) -> tupl
     session["terms"] = list(given["terms"]) or None
     session["trust_units"] = given["trust_units"] or None
     if description is not None:
-        described = load_yaml(read_text(description), str(description)).value
+        described = read_yaml(description).value
         if not isinstance(described, dict):
             raise CalibrationError(f"{description}: a session.yaml is a mapping of keys")
         said = {key: value for key, value in described.items() if key != "format"}

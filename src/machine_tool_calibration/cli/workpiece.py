@@ -71,7 +71,7 @@ def _outline(
     stylus: float | None,
 ) -> tuple[WorkpiecePoint, ...]:
     from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
-    from machine_tool_calibration.session.defects import validated
+    from machine_tool_calibration.session.record import validated
 
     if spacing is None:
         raise click.UsageError("An outline needs --spacing: how far its points are apart.")

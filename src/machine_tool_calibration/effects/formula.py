@@ -33,11 +33,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.record import Record
-from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.record import Record, validated
+from machine_tool_calibration.session.text import read_yaml
 from machine_tool_calibration.session.values import Finite
-from machine_tool_calibration.session.yaml_text import load_yaml
 
 _MOST_CHARACTERS = 1000
 _CHARACTERS_SHOWN = 80  # characters of a formula in a message
@@ -330,7 +328,7 @@ def read_effects(path: Path) -> list[Effect]:
     A SessionError: not such a file, or not YAML; one line with the line in the file; a ModelError if a wrong
     definition; one line that says what and where.
     """
-    content = load_yaml(read_text(path, _LARGEST_FILE), str(path)).value
+    content = read_yaml(path, _LARGEST_FILE).value
     if not isinstance(content, dict) or set(content) != {"effects"} or not isinstance(content["effects"], list):
         raise ModelError(f"{path}: one key, effects, with a list of definitions")
     out: list[Effect] = []

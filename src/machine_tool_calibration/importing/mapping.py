@@ -9,10 +9,8 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.importing.units import UNITS, spelled
-from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.record import Record
-from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.record import Record, validated
+from machine_tool_calibration.session.text import read_yaml
 
 FORMAT = "mtcal-mapping/1"
 _XYZ = ("x", "y", "z")
@@ -112,7 +110,7 @@ class Mapping(Record):
 
 def read_mapping(path: Path) -> dict[str, Any]:
     """The content of a mapping file, for `parse_mapping`; a SessionError if it is no mapping of keys."""
-    document = load_yaml(read_text(path, 1 << 20), str(path))
+    document = read_yaml(path, 1 << 20)
     if not isinstance(document.value, dict):
         raise SessionError(f"{path}: must be a mapping of keys")
     if document.value.get("format") != FORMAT:

@@ -13,8 +13,8 @@ from machine_tool_calibration.importing.mapping import Run
 from machine_tool_calibration.importing.points import check_deviations
 from machine_tool_calibration.importing.text_table import TextTable
 from machine_tool_calibration.methods.ball_bar.circle import places
-from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import CircleSetup
+from machine_tool_calibration.session.record import validated
 
 _UP = ("up", "+", "+1", "1", "↑", "forward", "fwd", "positive", "pos", "auf", "vor")
 _DOWN = ("down", "-", "-1", "↓", "reverse", "rev", "backward", "negative", "neg", "ab", "zurück")

@@ -139,6 +139,6 @@ def require_kind(value: Any, kind: type, words: str) -> None:
 
 
 def _refused(words: str, value: Any) -> CalibrationError:
-    from machine_tool_calibration.session.defects import shown  # loads pydantic, which few verbs need
+    from machine_tool_calibration.session.record import shown  # loads pydantic, which few verbs need
 
     return CalibrationError(f"{words}, not {shown(value)}")

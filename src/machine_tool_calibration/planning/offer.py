@@ -16,7 +16,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.procedure.description import Choices, Procedure, expanded, parse_procedure
 from machine_tool_calibration.procedure.plan import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
-from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
+from machine_tool_calibration.session.text import PlainDumper, load_yaml
 
 # Setups, or targets, that are held against each other: more would take hours.
 _MOST_CANDIDATES = 1000

@@ -13,12 +13,10 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
-from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
-from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import Document, load_yaml
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record, validated
+from machine_tool_calibration.session.text import Document, load_yaml, read_text
 
 _Count = Annotated[int, Field(ge=1, le=1000)]
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
+from machine_tool_calibration.session.text import PlainDumper, load_yaml
 
 _MOST_QOS = 1 << 17  # characters: hundreds of publishers
 FOREVER = 9_223_372_036_854_775_807  # ns; also the start of a recording without messages, as rosbag2 has it

@@ -13,8 +13,7 @@ from machine_tool_calibration.errors import RecordingError, SessionError, Unfini
 from machine_tool_calibration.recording.cdr import decode, definition_of
 from machine_tool_calibration.recording.mcap_reader import McapReader
 from machine_tool_calibration.recording.metadata import Topic, offered_qos
-from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.text import read_yaml
 
 _LARGEST_METADATA = 2 << 20
 METADATA_FILE = "metadata.yaml"
@@ -119,7 +118,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 def _file_names(metadata: Path) -> list[str]:
     try:
-        value = load_yaml(read_text(metadata, _LARGEST_METADATA), str(metadata)).value
+        value = read_yaml(metadata, _LARGEST_METADATA).value
     except SessionError as error:
         raise RecordingError(str(error)) from None
     information = value.get("rosbag2_bagfile_information") if isinstance(value, dict) else None

@@ -17,9 +17,8 @@ from pydantic import ValidationError
 from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import is_session_folder
-from machine_tool_calibration.session.defects import first_defect
-from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.record import first_defect
+from machine_tool_calibration.session.text import LARGEST_TABLE, read_yaml
 
 if TYPE_CHECKING:
     import numpy as np
@@ -85,7 +84,7 @@ def read_history(path: Path) -> History:
     """
     if not path.exists():
         return History()
-    document = load_yaml(read_text(path, LARGEST_TABLE), str(path))
+    document = read_yaml(path, LARGEST_TABLE)
     if not isinstance(document.value, dict):
         raise SessionError(f"{path}: is no history of models; move it away to start a new one")
     try:

@@ -10,12 +10,10 @@ from pydantic import Field
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
-from machine_tool_calibration.session.defects import AnyRecord, either, kind_of, place_in, shown, validated
 from machine_tool_calibration.session.description import Description
-from machine_tool_calibration.session.record import Record
-from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.record import AnyRecord, Record, either, kind_of, place_in, shown, validated
+from machine_tool_calibration.session.text import Document, PlainDumper, load_yaml, read_text
 from machine_tool_calibration.session.values import Identifier
-from machine_tool_calibration.session.yaml_text import Document, PlainDumper, load_yaml
 
 FORMAT = "mtcal-session/1"
 

@@ -11,11 +11,9 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.session.defects import AnyRecord, validated
-from machine_tool_calibration.session.record import NotNegative, Record
-from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.record import AnyRecord, NotNegative, Record, validated
+from machine_tool_calibration.session.text import read_yaml
 from machine_tool_calibration.session.values import Finite
-from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, random_periodic, random_smooth
 
@@ -183,7 +181,7 @@ def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] 
 
     A CalibrationError if the file cannot be read, or a key or value is wrong; one line names file, line and key.
     """
-    document = load_yaml(read_text(path), str(path))
+    document = read_yaml(path)
     content = document.value if document.value is not None else {}
     return validated(record, content, str(path), document, unnamed=unnamed, refusal=CalibrationError)
 

@@ -11,9 +11,8 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record, validated
+from machine_tool_calibration.session.text import load_yaml
 from machine_tool_calibration.simulation.circle_run import CirclePlan
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
 from machine_tool_calibration.simulation.direct_run import DirectPlan

@@ -12,8 +12,7 @@ import yaml
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.shared import procedure_file, procedure_names
 from machine_tool_calibration.procedure import Procedure, parse_procedure
-from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.text import read_text, read_yaml
 from machine_tool_calibration.workbench.look import controls, text, when_changed
 
 _AXES = ("x", "y", "z", "a", "b", "c")
@@ -98,7 +97,7 @@ class ProcedureForm:
         if name:
             try:
                 file = procedure_file(name)
-                content = load_yaml(read_text(Path(file)), str(file)).value
+                content = read_yaml(Path(file)).value
                 parse_procedure(read_text(Path(file)), str(file))
             except (CalibrationError, OSError) as error:
                 self._fail(error)

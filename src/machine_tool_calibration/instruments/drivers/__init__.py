@@ -8,11 +8,10 @@ from typing import Any
 from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
 from machine_tool_calibration.instruments.drivers.driver import Driver, Health, InstrumentError, Sample
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
-from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.record import validated
+from machine_tool_calibration.session.text import load_yaml, read_text, read_yaml
 
-__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver"]
+__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver", "load_yaml", "read_text"]
 
 PLUGIN_GROUP = "machine_tool_calibration.drivers"
 LARGEST_FILE = 1 << 20
@@ -25,7 +24,7 @@ def load_driver(file: Path) -> Driver:
     callable that takes the file's content as a mapping and returns a `Driver`.
     """
     source = str(file)
-    document = load_yaml(read_text(file, LARGEST_FILE), source)
+    document = read_yaml(file, LARGEST_FILE)
     content = document.value
     if not isinstance(content, dict) or not isinstance(content.get("driver"), str):
         raise InstrumentError(f"{source}: the key 'driver' must name the driver, such as ascii_line")

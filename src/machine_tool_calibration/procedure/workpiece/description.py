@@ -38,11 +38,9 @@ from machine_tool_calibration.procedure.workpiece.outline import (
 )
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint
-from machine_tool_calibration.session.record import NotNegative, Positive, Record
-from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
-from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
+from machine_tool_calibration.session.record import NotNegative, Positive, Record, validated
+from machine_tool_calibration.session.text import LARGEST_TABLE, PlainDumper, read_yaml
 
 _LARGEST_LENGTH, _SMALLEST_LENGTH = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
 Finite = Annotated[float, Field(ge=-_LARGEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]
@@ -178,7 +176,7 @@ def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
     """
     if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
-    content = dict(load_yaml(read_text(file, LARGEST_TABLE), str(file)).value)
+    content = dict(read_yaml(file, LARGEST_TABLE).value)
     content["session"] = {**content["session"], **_workpiece(points)}
     text = _dumped(content)
     parse_procedure(text, str(file))
@@ -212,7 +210,7 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
 
     A SessionError names file, line and key of the first defect, or is that of `workpiece_points`.
     """
-    document = load_yaml(read_text(file), str(file))
+    document = read_yaml(file)
     workpiece = validated(Workpiece, document.value, str(file), document, unnamed=_KINDS)
     return workpiece_points(workpiece, file.parent)
 
