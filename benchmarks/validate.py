@@ -18,7 +18,7 @@ from papers import study_probing, study_rotary_axis, study_step_diagonal, study_
 from papers.page import study_page, study_table, verdict_of
 from papers.pictures import save_pictures
 
-from machine_tool_calibration.cli.output import console, progress_bar
+from machine_tool_calibration.cli.shared import console, progress_bar
 from machine_tool_calibration.reports.tables import show_table
 
 STUDIES = {

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, json_option, tell_either
+from machine_tool_calibration.cli.shared import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
 

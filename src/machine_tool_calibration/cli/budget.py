@@ -7,26 +7,18 @@ from typing import Any
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
-from machine_tool_calibration.cli.output import (
-    PATH,
-    PictureFile,
-    json_option,
-    progress_bar,
-    save_picture,
-    seed_option,
-    tell,
-)
 from machine_tool_calibration.interface.show import MOST_DRAWS
 
 
 def budget_option(text: str) -> Callable[[Any], Any]:
     """Add `--budget`, which may be repeated, as the keyword argument `budgets`."""
-    return click.option("--budget", "budgets", type=PATH, multiple=True, help=text)
+    return click.option("--budget", "budgets", type=shared.PATH, multiple=True, help=text)
 
 
 @click.command("budget")
-@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=PATH)
+@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=shared.PATH)
 @budget_option(
     "YAML file with the contributors; the session's own, else that of its instrument to begin with, if absent."
 )
@@ -44,10 +36,12 @@ def budget_option(text: str) -> Callable[[Any], Any]:
     metavar="N",
     help="Check by a Monte Carlo propagation with so many draws (JCGM 101).",
 )
-@seed_option
-@click.option("--plot", type=PictureFile("budget.png"), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
+@shared.seed_option
+@click.option(
+    "--plot", type=shared.PictureFile("budget.png"), help="Draw a bar chart: a file (png, svg, pdf), or a folder."
+)
 @model_options
-@json_option
+@shared.json_option
 def command(
     measurements: tuple[Path, ...],
     budgets: tuple[Path, ...],
@@ -80,9 +74,9 @@ def command(
         return
     if not measurements:
         raise click.UsageError("Missing argument 'SESSION'.")
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         fit = wanted.fit(measurements, progress)
         wanted.note_unused(fit, measurements)
         answer = fit.budget(budgets or None, quantities=names, draws=draws or 0, seed=seed, progress=progress)
-    save_picture(answer.plot, plot, answer.origin)
-    tell(answer, as_json)
+    shared.save_picture(answer.plot, plot, answer.origin)
+    shared.tell(answer, as_json)

@@ -13,7 +13,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.logbook import machine_option
-from machine_tool_calibration.cli.output import PATH, Report, json_option, progress_bar, seed_option, tell
+from machine_tool_calibration.cli.shared import PATH, Report, json_option, progress_bar, seed_option, tell
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:

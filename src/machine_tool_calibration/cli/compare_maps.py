@@ -10,18 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
-from machine_tool_calibration.cli.output import (
-    PATH,
-    PictureFile,
-    json_option,
-    note,
-    progress_bar,
-    save_picture,
-    seed_option,
-    session_labels,
-    tell,
-)
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -30,12 +20,12 @@ if TYPE_CHECKING:
 
 
 @click.command("compare-maps")
-@click.argument("first", type=PATH)
-@click.argument("second", type=PATH)
+@click.argument("first", type=shared.PATH)
+@click.argument("second", type=shared.PATH)
 @model_options
-@seed_option
-@click.option("--plot", type=PictureFile(), help="Draw both maps into this file (png, svg, pdf).")
-@json_option
+@shared.seed_option
+@click.option("--plot", type=shared.PictureFile(), help="Draw both maps into this file (png, svg, pdf).")
+@shared.json_option
 def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | None, as_json: bool) -> None:
     """Say whether two measurements of one machine agree within their joint uncertainty.
 
@@ -54,15 +44,15 @@ def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | N
     from machine_tool_calibration.interface.session import Measurement
     from machine_tool_calibration.methods.identify import identify_sessions
 
-    one, two = session_labels([first, second])
-    with progress_bar() as progress:
+    one, two = shared.session_labels([first, second])
+    with shared.progress_bar() as progress:
         fits = []
         for own, label in zip(_measured(wanted, (first, second)), (one, two), strict=True):
             progress(f"identifying {label}")
             fits.append(Fit(Measurement(own.recorded, (label,)), identify_sessions(own.chosen), own.chosen))
         answer = fits[0].compare_map(fits[1], (one, two), seed=seed, progress=progress)
-    save_picture(answer.plot, plot)
-    tell(answer, as_json)
+    shared.save_picture(answer.plot, plot)
+    shared.tell(answer, as_json)
 
 
 def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
@@ -78,7 +68,7 @@ def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
         out = [replace(wanted, from_history=own).open([path]) for path, own in zip(paths, tried, strict=True)]
         for path, own in zip(paths, tried, strict=True):
             if not own:
-                note(f"{path}: no model was tried yet; its method's own is compared")
+                shared.note(f"{path}: no model was tried yet; its method's own is compared")
         return out
     out = [replace(wanted, model=None, effects=()).open([path]) for path in paths]
     known = sorted({name for one in out for name in spec_of(one.recorded[0]).models})

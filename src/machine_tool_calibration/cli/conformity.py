@@ -10,7 +10,7 @@ from machine_tool_calibration.budget.conformity import RULES
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
-from machine_tool_calibration.cli.output import PATH, Number, json_option, note, progress_bar, seed_option, tell
+from machine_tool_calibration.cli.shared import PATH, Number, json_option, note, progress_bar, seed_option, tell
 from machine_tool_calibration.session.session import Session
 
 

@@ -12,18 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.foreign_options import file_form, foreign_options, mapping_from, only_form
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import (
-    FILE,
-    PATH,
-    RosName,
-    console,
-    json_option,
-    note,
-    progress_bar,
-    write_json,
-)
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part, TextTable, show
 
@@ -64,9 +55,9 @@ def _show_preview(imported: Imported, *, whole: bool) -> None:
             TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows),
             f"session.yaml:\n{description_yaml(session.description).rstrip()}",
         ]
-        show(console(), parts)
+        show(shared.console(), parts)
     for text in imported.notes:
-        note(text)
+        shared.note(text)
 
 
 def _shown(value: Any) -> str:
@@ -120,7 +111,7 @@ Readings of a step diagonal or any other method, in columns named as those of ob
 
 
 @click.command("convert", help=HELP)
-@click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=PATH)
+@click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=shared.PATH)
 @click.option(
     "--to",
     "form",
@@ -129,15 +120,15 @@ Readings of a step diagonal or any other method, in columns named as those of ob
     "and a session of all else.",
 )
 @click.option("--start", type=click.IntRange(min=0), default=0, help="Bag: when the session began, ns since 1970.")
-@click.option("--namespace", type=RosName(space=True), default="", help="Bag: namespace of its topics.")
+@click.option("--namespace", type=shared.RosName(space=True), default="", help="Bag: namespace of its topics.")
 @click.option(
     "--description",
-    type=FILE,
+    type=shared.FILE,
     help="The session.yaml of a table: one with the columns of observations.csv in SI units (by default the one beside "
     "it), or one that --table or --mapping says how to read.",
 )
 @topic_option
-@json_option
+@shared.json_option
 @foreign_options
 def command(
     paths: tuple[Path, ...],
@@ -171,7 +162,7 @@ def command(
             _show_preview(imported, whole=dry_run)
         if dry_run or target is None:
             if as_json:
-                write_json({"format": "mtcal-converted/1", "source": source, "to": None, **preview})
+                shared.write_json({"format": "mtcal-converted/1", "source": source, "to": None, **preview})
             return
         document = {**_written(imported.session, target, form, start, namespace), **preview}
     elif dry_run or target is None:
@@ -183,12 +174,15 @@ def command(
     else:
         document = _written(_trusted(_opened(source, topics), foreign), target, form, start, namespace)
     if as_json:
-        write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
+        shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
         read = f": {document['readings']} readings" if "readings" in document else ""
-        show(console(), [f"{target}{read}", *(f"  {topic}: {at}" for topic, at in document.get("topics", {}).items())])
+        show(
+            shared.console(),
+            [f"{target}{read}", *(f"  {topic}: {at}" for topic, at in document.get("topics", {}).items())],
+        )
     for topic in document.get("skipped", ()):
-        note(f"{topic} was left out: its messages have a type that cannot be read")
+        shared.note(f"{topic} was left out: its messages have a type that cannot be read")
 
 
 def _sources_and_target(paths: Sequence[Path], *, dry_run: bool) -> tuple[Sequence[Path], Path | None]:
@@ -309,6 +303,6 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, topics: d
         session = _opened(source, topics)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         files, skipped = save_tables(BagReader(source), target, form, progress)
     return {"topics": files, "skipped": skipped}

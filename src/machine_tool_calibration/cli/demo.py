@@ -11,7 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, rigid_motions, rms
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
-from machine_tool_calibration.cli.output import json_option, progress_bar, tell_either
+from machine_tool_calibration.cli.shared import json_option, progress_bar, tell_either
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.result import Result

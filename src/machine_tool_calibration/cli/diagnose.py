@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
-from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
+from machine_tool_calibration.cli.shared import FOLDER, json_option, note_written, progress_bar, tell
 
 
 @click.command("diagnose")

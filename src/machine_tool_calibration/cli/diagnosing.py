@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.output import FILE, PATH, Report, bar, note, options, session_labels
+from machine_tool_calibration.cli.shared import FILE, PATH, Report, bar, note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:

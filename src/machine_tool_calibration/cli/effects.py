@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option
-from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell_either
+from machine_tool_calibration.cli.shared import FOLDER, json_option, note_written, progress_bar, tell_either
 from machine_tool_calibration.reports.tables import Part, TextTable
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
+from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
 
 
 @click.command("enough")

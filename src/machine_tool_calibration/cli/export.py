@@ -13,7 +13,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import FOLDER, PATH, json_option, note, progress_bar, save_picture, tell_either
+from machine_tool_calibration.cli.shared import FOLDER, PATH, json_option, note, progress_bar, save_picture, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import suspicion_words
 from machine_tool_calibration.session.catalogue import spec_of

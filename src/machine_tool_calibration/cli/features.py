@@ -7,18 +7,8 @@ from typing import Any
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
-from machine_tool_calibration.cli.output import (
-    FILE,
-    PATH,
-    PictureFile,
-    json_option,
-    note,
-    progress_bar,
-    save_picture,
-    seed_option,
-    tell,
-)
 from machine_tool_calibration.interface.show import MOST_DRAWS
 
 
@@ -51,11 +41,11 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 
 
 @click.command("features")
-@click.argument("session", type=PATH)
+@click.argument("session", type=shared.PATH)
 @click.option(
     "--features",
     "listed",
-    type=FILE,
+    type=shared.FILE,
     help="YAML list of which points make a feature, where the session does not say it.",
 )
 @click.option(
@@ -88,10 +78,10 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
     show_default=True,
     help="Distribution of the touches' errors in the draws.",
 )
-@seed_option
+@shared.seed_option
 @model_options
-@click.option("-p", "--plot", type=PictureFile(), help="Draw them into this file (png, svg, pdf).")
-@json_option
+@click.option("-p", "--plot", type=shared.PictureFile(), help="Draw them into this file (png, svg, pdf).")
+@shared.json_option
 def command(
     session: Path,
     listed: Path | None,
@@ -118,11 +108,11 @@ def command(
     from machine_tool_calibration.session.parse import read_feature_points
 
     named = None if listed is None else read_feature_points(listed)
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         fit = wanted.fit([session], progress)
         answer = fit.features(named=named, centres=through, draws=draws, seed=seed, **asked)
-    save_picture(answer.plot, plot, answer.origin)
-    tell(answer, as_json)
+    shared.save_picture(answer.plot, plot, answer.origin)
+    shared.tell(answer, as_json)
     if bad := bad_fit(fit.result.joint, fit.result.error_map.content):
-        note(bad)
+        shared.note(bad)
     wanted.note_unused(fit, [session])

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, fit_one, followed, model_options, workers_options
-from machine_tool_calibration.cli.output import FILE, FOLDER, json_option, note, note_written, tell
+from machine_tool_calibration.cli.shared import FILE, FOLDER, json_option, note, note_written, tell
 from machine_tool_calibration.words import words
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import FILE, options
+from machine_tool_calibration.cli.shared import FILE, options
 from machine_tool_calibration.errors import CalibrationError
 
 _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import no_model, sessions_argument
-from machine_tool_calibration.cli.output import json_option, note, tell_either
+from machine_tool_calibration.cli.shared import json_option, note, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part
 

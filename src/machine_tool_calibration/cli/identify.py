@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, fit_one, followed, model_options, workers_options
-from machine_tool_calibration.cli.output import (
-    FILE,
-    PATH,
-    console,
-    json_option,
-    note_written,
-    progress_bar,
-    tell,
-    tell_either,
-)
 from machine_tool_calibration.errors import writing
 from machine_tool_calibration.reports.documents import to_json, write_table
 
@@ -30,14 +21,14 @@ if TYPE_CHECKING:
 
 
 @click.command("identify")
-@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)
+@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=shared.PATH)
 @model_options
 @click.option("--keep-all", is_flag=True, help="Use all readings, also those that stand out of all others.")
-@click.option("-o", "--output", type=PATH, help="Folder for the result document and the pictures.")
+@click.option("-o", "--output", type=shared.PATH, help="Folder for the result document and the pictures.")
 @click.option(
     "--csv",
     "table",
-    type=FILE,
+    type=shared.FILE,
     help="CSV file for all that was found, one value a row with its expanded uncertainty U (95 %).",
 )
 @click.option(
@@ -49,7 +40,7 @@ if TYPE_CHECKING:
 @click.option("--plot", is_flag=True, help="Draw pictures: into --output, or into the present folder.")
 @click.option("--each", is_flag=True, help="SESSION are folders: each session in and below them, by itself.")
 @workers_options
-@json_option
+@shared.json_option
 def command(
     sessions: tuple[Path, ...],
     wanted: Wanted,
@@ -86,16 +77,16 @@ def command(
     if workers is not None or scheduler:
         raise click.UsageError("--workers and --scheduler go with --each.")
     folder, written = output or (Path() if plot else None), list[Path]()
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
         if folder:
             progress("drawing")
             written = _write(fit, folder, result_file=output is not None)
         if table:
             written.append(_write_values(fit, table, units))
-    tell(fit, as_json)
+    shared.tell(fit, as_json)
     for path in () if as_json else written:
-        console().print(f"written: {path}")
+        shared.console().print(f"written: {path}")
     wanted.note_unused(fit, sessions)
 
 
@@ -116,8 +107,8 @@ def _identify_each(
     work = each(partial(identified, fit=fit), found, workers=workers, scheduler=scheduler)
     done = sorted(followed(work, len(found)), key=lambda one: one.item)
     written = write_tables(identified_tables(done), output) if output else []
-    tell_either(identified_document(done), [identified_table(done)], as_json)
-    note_written(written)
+    shared.tell_either(identified_document(done), [identified_table(done)], as_json)
+    shared.note_written(written)
 
 
 def _write(fit: Fit, folder: Path, *, result_file: bool) -> list[Path]:

@@ -10,16 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, new_model_options, sessions_argument
-from machine_tool_calibration.cli.output import (
-    FOLDER,
-    json_option,
-    note,
-    note_written,
-    progress_bar,
-    session_labels,
-    tell,
-)
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -58,11 +50,11 @@ def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[l
 @click.option(
     "-o",
     "--output",
-    type=FOLDER,
+    type=shared.FOLDER,
     help="Folder for the picture (PNG) and the numbers (CSV); by default ./mtcal_output/improve_<name of the session>.",
 )
 @click.option("--history/--no-history", default=True, help="Keep the models in the history of the session, or not.")
-@json_option
+@shared.json_option
 def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None, history: bool, as_json: bool) -> None:
     """Add the effects that the diagnosis finds, one after the other, and watch the error fall.
 
@@ -85,7 +77,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     measured, kept = wanted.open(measurements), history_path(*measurements)
     if history:  # a damaged one is reported before a long calculation, not after it
         read_history(kept)
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         done = improve(measured.chosen, progress=progress)
     # What is to be kept is written before anything is printed: the reader of the output may go away. What cannot be
     # written is said at the end, and loses nothing else.
@@ -96,7 +88,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
         except SessionError as error:
             failed.append(f"{error}; the models are not kept (--no-history does without)")
     folder = output or Path("mtcal_output", f"improve_{'+'.join(path.absolute().name for path in measurements)}")
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         progress("drawing")
         try:
             written = [*save_improvement(done, folder), *written]
@@ -104,11 +96,11 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
             why = f"{error.filename or folder}: cannot be written: {error.strerror}; -o names another folder"
             failed.insert(0, why)
     try:
-        measurement = Measurement(measured.recorded, tuple(session_labels(measurements)))
-        tell(Improvement.of(done, measurement=measurement), as_json)
+        measurement = Measurement(measured.recorded, tuple(shared.session_labels(measurements)))
+        shared.tell(Improvement.of(done, measurement=measurement), as_json)
     finally:
-        note_written(written)
+        shared.note_written(written)
         if words:
-            note(words)
+            shared.note(words)
     if failed:
         raise CalibrationError("; ".join(failed))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, json_option, tell_either
+from machine_tool_calibration.cli.shared import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 
 if TYPE_CHECKING:

@@ -5,17 +5,8 @@ from pathlib import Path
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
-from machine_tool_calibration.cli.output import (
-    FILE,
-    PATH,
-    console,
-    json_option,
-    progress_bar,
-    session_labels,
-    tell_either,
-    write_json,
-)
 from machine_tool_calibration.words import say
 
 machine_option = click.option("--machine", help="The machine, where a logbook has several.")
@@ -36,13 +27,13 @@ def command() -> None:
 
 
 @command.command("add")
-@click.argument("book", type=FILE)
-@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)
+@click.argument("book", type=shared.FILE)
+@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=shared.PATH)
 @click.option("--machine", help="Name of the machine, unless `about` in session.yaml says it.")
 @click.option("--date", help="When it was measured (ISO 8601), unless `about` says it.")
 @click.option("--instrument", help="Which instrument read, unless `about` says it, such as a serial number.")
 @model_options
-@json_option
+@shared.json_option
 def add(
     book: Path,
     sessions: tuple[Path, ...],
@@ -62,8 +53,8 @@ def add(
     if date is not None and len(sessions) > 1:
         raise click.UsageError("--date is for one SESSION.")
     said: list[dict[str, object]] = []
-    for path, label in zip(sessions, session_labels(sessions), strict=True):
-        with progress_bar() as progress:
+    for path, label in zip(sessions, shared.session_labels(sessions), strict=True):
+        with shared.progress_bar() as progress:
             fit = wanted.fit([path], progress)
             sizes = sizes_of(fit.result, progress)
         entry = entry_of(
@@ -73,15 +64,17 @@ def add(
         said.append({"label": label, "added": added, "number": told.number, "sha256": told.sha256})
         if not as_json:
             values = {"machine": told.machine, "date": told.date, "sum": told.sha256[:12], "count": len(told.sizes)}
-            console().print(say("logbook.added" if added else "logbook.there", label=label, n=told.number, **values))
+            shared.console().print(
+                say("logbook.added" if added else "logbook.there", label=label, n=told.number, **values)
+            )
     if as_json:
-        write_json({"format": "mtcal-logbook-added/1", "book": str(book), "sessions": said})
+        shared.write_json({"format": "mtcal-logbook-added/1", "book": str(book), "sessions": said})
 
 
 @command.command("list")
-@click.argument("book", type=FILE)
+@click.argument("book", type=shared.FILE)
 @machine_option
-@json_option
+@shared.json_option
 def listed(book: Path, machine: str | None, as_json: bool) -> None:
     """List the entries of a logbook by date."""
     from machine_tool_calibration.reports.trends import entries_table
@@ -89,4 +82,4 @@ def listed(book: Path, machine: str | None, as_json: bool) -> None:
 
     entries = Logbook(book).entries(machine)
     document = {"format": "mtcal-logbook/1", "book": str(book), "entries": [one.document() for one in entries]}
-    tell_either(document, [entries_table(entries)], as_json)
+    shared.tell_either(document, [entries_table(entries)], as_json)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from machine_tool_calibration import __version__, cli
-from machine_tool_calibration.cli.output import note, one_line
+from machine_tool_calibration.cli.shared import note, one_line
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 
 if TYPE_CHECKING:

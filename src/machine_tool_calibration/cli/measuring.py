@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, bar, console, options
+from machine_tool_calibration.cli.shared import PATH, RosName, bar, console, options
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.tables import TextTable
 

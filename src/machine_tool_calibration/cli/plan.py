@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
-from machine_tool_calibration.cli.output import (
-    FILE,
-    Number,
-    PictureFile,
-    json_option,
-    note_written,
-    progress_bar,
-    save_picture,
-    seed_option,
-    tell_either,
-    write_new,
-)
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -35,14 +24,14 @@ if TYPE_CHECKING:
 @effects_file_option
 @click.option(
     "--warming",
-    type=Number(-100, 100),
+    type=shared.Number(-100, 100),
     default=1.0,
     show_default=True,
     help="Change of the air's temperature assumed, K per hour.",
 )
 @click.option(
     "--angular",
-    type=Number(0.0, 1e-3),
+    type=shared.Number(0.0, 1e-3),
     default=5e-6,
     show_default=True,
     help="Angular errors of the machine assumed where the instrument hardly senses them, rad (root mean square).",
@@ -51,10 +40,14 @@ if TYPE_CHECKING:
 @click.option(
     "--told", multiple=True, metavar="EFFECT", help="With --optimise: for the size of this effect, not for the map."
 )
-@click.option("-o", "--output", type=FILE, help="With --optimise: write the plan, a procedure that `mtcal run` takes.")
-@click.option("--plot", type=PictureFile(), help="With --optimise: draw U over the working space, before and after.")
-@seed_option
-@json_option
+@click.option(
+    "-o", "--output", type=shared.FILE, help="With --optimise: write the plan, a procedure that `mtcal run` takes."
+)
+@click.option(
+    "--plot", type=shared.PictureFile(), help="With --optimise: draw U over the working space, before and after."
+)
+@shared.seed_option
+@shared.json_option
 def command(
     procedure: str,
     model: str | None,
@@ -100,12 +93,12 @@ def _forecast(file: Path, assumed: Assumed, as_json: bool) -> None:
     from machine_tool_calibration.procedure import read_procedure
     from machine_tool_calibration.reports.planning import forecast_parts
 
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         found = forecast(
             read_procedure(file), model=assumed.model, own=assumed.own, warming=assumed.warming,
             angular=assumed.angular, progress=progress,
         )  # fmt: skip
-    tell_either(found.document(), forecast_parts(found), as_json)
+    shared.tell_either(found.document(), forecast_parts(found), as_json)
 
 
 def _optimised(
@@ -125,11 +118,11 @@ def _optimised(
 
     if output is not None and output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")
-    with progress_bar() as progress:
+    with shared.progress_bar() as progress:
         complete = replace(assumed, errors=shared_errors)
         found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
-    tell_either(found.document(), best_plan_parts(found), as_json)
-    save_picture(partial(draw_best_plan, found), plot)
+    shared.tell_either(found.document(), best_plan_parts(found), as_json)
+    shared.save_picture(partial(draw_best_plan, found), plot)
     if output is not None:
-        write_new(output, found.text)
-        note_written([output])
+        shared.write_new(output, found.text)
+        shared.note_written([output])

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, Number, RosName, json_option, tell_either
+from machine_tool_calibration.cli.shared import PATH, Number, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import picked
 

@@ -7,7 +7,7 @@ import click
 
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
-from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note, note_written, progress_bar, seed_option
+from machine_tool_calibration.cli.shared import FILE, FOLDER, PATH, note, note_written, progress_bar, seed_option
 from machine_tool_calibration.words import words
 
 

@@ -10,7 +10,7 @@ import click
 from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
-from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
+from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
 from machine_tool_calibration.nodes.measurement import NODES, Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, Number, json_option, tell_either
+from machine_tool_calibration.cli.shared import PATH, Number, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import picked, to_json
 from machine_tool_calibration.reports.quantities import quantity

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import FILE, PictureFile, json_option, save_picture, tell
+from machine_tool_calibration.cli.shared import FILE, PictureFile, json_option, save_picture, tell
 
 
 @click.command("trend")

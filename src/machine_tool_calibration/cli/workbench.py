@@ -8,7 +8,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.measuring import graph_place
-from machine_tool_calibration.cli.output import PATH, note
+from machine_tool_calibration.cli.shared import PATH, note
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.errors import CalibrationError
 

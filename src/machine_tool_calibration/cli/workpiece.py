@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, json_option, tell_either, write_new
+from machine_tool_calibration.cli.shared import PATH, json_option, tell_either, write_new
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part, TextTable
 

@@ -11,18 +11,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
-from machine_tool_calibration.plots.residuals import (
-    SAME_PICTURE,
-    arrow_scale,
-    color,
-    draw_arrows,
-    draw_residuals,
-    grids,
-    line_of,
-    planes,
-    repeat_groups,
-    sense_along,
-)
+from machine_tool_calibration.plots import residuals
 from machine_tool_calibration.plots.style import COLORS, name_axes, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.words import say
@@ -71,7 +60,7 @@ def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     values = {name: pd.Series(own) for name, own in comparison.covariates.items()}
     out: list[str] = []
     for name, _ in comparison.ranked:
-        if not any(abs(values[name].corr(values[other], min_periods=3)) >= SAME_PICTURE for other in out):
+        if not any(abs(values[name].corr(values[other], min_periods=3)) >= residuals.SAME_PICTURE for other in out):
             out.append(name)
     return out[:most]
 
@@ -86,7 +75,7 @@ def _draw_fit(comparison: Comparison) -> Figure:
     predicted = table["predicted"]
     factor, unit = (1e3, "mm") if np.ptp(predicted) > 1e-2 else (1e6, "µm")
     for k, (name, own) in enumerate(table.groupby("setup", observed=True)):
-        style: dict[str, Any] = {"ls": "", "marker": ".", "ms": 3, "color": color(k), "label": name}
+        style: dict[str, Any] = {"ls": "", "marker": ".", "ms": 3, "color": residuals.color(k), "label": name}
         left.plot(factor * own["predicted"], factor * own["measured"], **style)
         middle.plot(factor * own["predicted"], 1e6 * own["residual"], **style)
     ends = factor * np.array([predicted.min(), predicted.max()])
@@ -104,7 +93,7 @@ def _draw_fit(comparison: Comparison) -> Figure:
         right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
     right.set(xlabel=say("picture.normal_noise"), ylabel=say("picture.over_declared"))
     right.set_title(say("picture.studentized", ratio=rounded(comparison.overall.ratio)))
-    grids(figure)
+    residuals.grids(figure)
     return figure
 
 
@@ -119,12 +108,12 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     setup = comparison.residuals["setup"].cat
     ids, number = setup.categories, np.asarray(setup.codes, dtype=np.int64)
     for panel, name in zip(panels, names, strict=False):
-        draw_residuals(panel, name, comparison.covariate(name), comparison.fit.residuals, number)
+        residuals.draw_residuals(panel, name, comparison.covariate(name), comparison.fit.residuals, number)
         _noise_band(panel, comparison)
     for panel in panels[len(names) :]:
         panel.remove()
     if len(ids) <= _LISTED:
-        handles = [Line2D([], [], ls="", marker="o", ms=5, color=color(k)) for k in range(len(ids))]
+        handles = [Line2D([], [], ls="", marker="o", ms=5, color=residuals.color(k)) for k in range(len(ids))]
         figure.legend(
             handles,
             ids,
@@ -133,7 +122,7 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
             frameon=False,
             title=say("head.setup"),
         )
-    grids(figure)
+    residuals.grids(figure)
     return figure
 
 
@@ -145,16 +134,17 @@ def draw_map(comparison: Comparison) -> Figure:
     observations = comparison.fit.model.observations
     residual, position = comparison.fit.residuals, observations.position
     arrow = residual[:, None] * observations.direction
-    same = repeat_groups(observations)
+    same = residuals.repeat_groups(observations)
     if not np.abs(np.bincount(same, residual)).max(initial=0.0) > _CANCELLED * np.abs(residual).max(initial=0.0):
         same = np.arange(len(residual))  # the model is of the places themselves: its repeats alone differ
-    line, views = line_of(position, observations.direction), planes(position, observations.direction)
+    line = residuals.line_of(position, observations.direction)
+    views = residuals.planes(position, observations.direction)
     if line is not None:
         figure = new_figure(9.0, 3.6)
         panel = figure.subplots()
-        sign = sense_along(observations.direction, line)
+        sign = residuals.sense_along(observations.direction, line)
         more = residual >= 0
-        for which, own in ((more, color(1)), (~more, color(0))):
+        for which, own in ((more, residuals.color(1)), (~more, residuals.color(0))):
             place, shown = 1e3 * position[which, line], 1e6 * (sign * residual)[which]
             panel.vlines(place, 0.0, shown, colors=own, lw=0.6, alpha=0.5)
             panel.plot(place, shown, ".", color=own, ms=4)
@@ -162,12 +152,12 @@ def draw_map(comparison: Comparison) -> Figure:
         panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=say("picture.residual_along", axis="xyz"[line]))
     else:
         figure = new_figure(6.4 * len(views), 6.0)
-        scaled = arrow_scale(position, arrow, same)
+        scaled = residuals.arrow_scale(position, arrow, same)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
-            draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
+            residuals.draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
             name_axes(panel, a, b)
     figure.suptitle(say("picture.arrows"), fontsize=11, wrap=True)
-    grids(figure)
+    residuals.grids(figure)
     return figure
 
 
@@ -176,13 +166,13 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
     of = dict(zip(comparison.labels or ("",), comparison.sessions, strict=True))
     setups = comparison.setups
     lines = [(of[row.get("session", "")], row) for row in setups.to_dict("records")]
-    residuals = comparison.residuals["residual"].abs()
+    sizes = comparison.residuals["residual"].abs()
     figure = new_figure(11, max(3.2, 1.0 + 0.62 * len(lines)))
     strip, bars = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
-    spread = float(residuals.quantile(0.98)) or 1e-12
+    spread = float(sizes.quantile(0.98)) or 1e-12
     for line, (one, part) in enumerate(lines):
         own = one.residuals[one.residuals["setup"] == part["name"]]
-        number = color(own["setup"].cat.codes.iloc[0])
+        number = residuals.color(own["setup"].cat.codes.iloc[0])
         at = line + pd.Series(0.5 * (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5), own.index)
         strip.plot(1e6 * own["residual"], at, ls="", marker=".", ms=3, color=number)
         for _, repeat in own.groupby("repeat"):
@@ -194,9 +184,9 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
         bars.annotate(f" {ratio}", (1e6 * part["rms"], line), va="center", fontsize=8)
         sigma = 2e6 * one.noise.declared
         strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)
-    if residuals.max() > 2.5 * spread:
+    if sizes.max() > 2.5 * spread:
         strip.set_xlim(-2.5e6 * spread, 2.5e6 * spread)
-        beyond = say("picture.beyond", n=int((residuals > 2.5 * spread).sum()))
+        beyond = say("picture.beyond", n=int((sizes > 2.5 * spread).sum()))
         strip.text(0.99, 0.02, beyond, transform=strip.transAxes, ha="right", fontsize=8, color="0.4")
     strip.set_yticks(range(len(lines)), ["/".join(names) for names in setups.filter(["session", "name"]).to_numpy()])
     strip.invert_yaxis()
@@ -205,7 +195,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
     bars.set(xlabel=say("picture.rms"), title=say("picture.rms_declared"))
     bars.title.set_fontsize(10)
     bars.margins(x=0.4)
-    grids(figure)
+    residuals.grids(figure)
     return figure
 
 

@@ -14,16 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.planning.injected import Injected, inject
-from machine_tool_calibration.plots.residuals import (
-    SAME_PICTURE,
-    arrow_scale,
-    axis_label,
-    draw_arrows,
-    draw_residuals,
-    grids,
-    planes,
-    repeat_groups,
-)
+from machine_tool_calibration.plots import residuals
 from machine_tool_calibration.plots.style import name_axes, new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
@@ -74,23 +65,25 @@ def _draw_injected(injected: Injected) -> Figure:
     panels = figure.subplots(1, _PANELS + 1, width_ratios=(1,) * _PANELS + (1.05,))
     setup = observations.readings.setup
     for panel, view in zip(panels, _views(injected), strict=False):
-        values, factor = comparison.covariates[view.name][view.shown], axis_label(view.name)[1]
+        values, factor = comparison.covariates[view.name][view.shown], residuals.axis_label(view.name)[1]
         panel.plot(factor * values, 1e6 * view.change, ls="", marker=".", ms=3, color="0.8", zorder=1)
-        draw_residuals(panel, view.name, values, view.residual, setup[view.shown], _BINS)
+        residuals.draw_residuals(panel, view.name, values, view.residual, setup[view.shown], _BINS)
         panel.set_ylabel(view.what)
     if injected.taken_up:
         where = {"ha": "center", "va": "center", "fontsize": 11, "color": "0.3"}
         panels[-1].text(0.5, 0.5, say("picture.taken_up"), transform=panels[-1].transAxes, **where)
         panels[-1].set_axis_off()
     else:
-        a, b = planes(observations.position, observations.direction)[0]
+        a, b = residuals.planes(observations.position, observations.direction)[0]
         residual = comparison.fit.residuals
         arrow = residual[:, None] * observations.direction
-        same = repeat_groups(observations)
-        scaled = arrow_scale(observations.position, arrow, same)
-        draw_arrows(panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
+        same = residuals.repeat_groups(observations)
+        scaled = residuals.arrow_scale(observations.position, arrow, same)
+        residuals.draw_arrows(
+            panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled
+        )
         name_axes(panels[-1], a, b)
-    grids(figure)
+    residuals.grids(figure)
     return figure
 
 
@@ -139,6 +132,6 @@ def _views(injected: Injected) -> list[_View]:
     ranked.sort(key=lambda entry: -entry[0])
     out: list[_View] = []
     for _, view in ranked:
-        if all(abs(np.corrcoef(values[view.name], values[other.name])[0, 1]) < SAME_PICTURE for other in out):
+        if all(abs(np.corrcoef(values[view.name], values[other.name])[0, 1]) < residuals.SAME_PICTURE for other in out):
             out.append(view)
     return out[:_PANELS]

@@ -11,30 +11,14 @@ import numpy as np
 
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
+from machine_tool_calibration.report import figures
 from machine_tool_calibration.report.evaluation import Evaluation
-from machine_tool_calibration.report.figures import (
-    Picture,
-    map_pictures,
-    motion_pictures,
-    residual_pictures,
-    standard_pictures,
-    told,
-    turnable,
-)
+from machine_tool_calibration.reports import identification
 from machine_tool_calibration.reports.budget import budget_parts, conformity_parts, decision_words
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.goodness import free_words, negative_words
 from machine_tool_calibration.reports.history_tables import tried_models
-from machine_tool_calibration.reports.identification import (
-    datum_words,
-    goodness_of_fit,
-    group_by_reason,
-    parameters_table,
-    readings_set_aside,
-    spread_words,
-    summary_rows,
-)
 from machine_tool_calibration.reports.improvement import steps_table
 from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.quantities import micrometres, plus_minus, quantity, sizes_in_words
@@ -57,7 +41,7 @@ class Turnable:
     drawing: dict[str, Any]
 
 
-Block = str | TextTable | Picture | Turnable
+Block = str | TextTable | figures.Picture | Turnable
 """What stands in a section: a sentence, a table, a picture, a drawing in space."""
 
 
@@ -72,7 +56,7 @@ class Section:
 
     def rows(self) -> Iterator[tuple[int, list[Block]]]:
         """Blocks that follow each other, and how many of them stand side by side."""
-        for beside, blocks in groupby(self.blocks, lambda one: one.beside if isinstance(one, Picture) else 1):
+        for beside, blocks in groupby(self.blocks, lambda one: one.beside if isinstance(one, figures.Picture) else 1):
             same = list(blocks)
             yield min(beside, len(same)), same
 
@@ -109,8 +93,8 @@ def in_language(block: Block, words: Words) -> Block:
     """A block in the report's language; of a table the columns in which there is anything."""
     if isinstance(block, str):
         return words.numbers(words.told(block))
-    if isinstance(block, Picture):
-        return told(block, words)
+    if isinstance(block, figures.Picture):
+        return figures.told(block, words)
     if not isinstance(block, TextTable):
         return block
     table = block.filled()
@@ -132,13 +116,13 @@ def _summary(found: Evaluation) -> Iterator[str | TextTable]:
         yield document["agreement"]["statement"]
     if found.conformity is not None:
         yield decision_words(found.conformity)
-    yield goodness_of_fit(document)
+    yield identification.goodness_of_fit(document)
     yield from free_words(document)
-    yield from spread_words(document)
+    yield from identification.spread_words(document)
     complete = "u_is_general" if found.general else "u_is_complete"
     yield say(f"report.{complete if document['uncertainty'] == 'budget' else 'u_is_incomplete'}")
     yield say("report.model_is", model=_model(found.result.model_name, document["effects"]))
-    rows = [*summary_rows({**document, "not_determined": []}), *standard_rows(document["error_map"])]
+    rows = [*identification.summary_rows({**document, "not_determined": []}), *standard_rows(document["error_map"])]
     yield TextTable("", ("", ""), tuple(rows))
     if document["effects"]:
         yield _effects(found)
@@ -194,21 +178,21 @@ def set_up(session: Session) -> TextTable:
     return TextTable(say("report.what_and_how"), ("", ""), tuple(row for row in rows if row[1]))
 
 
-def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture | Turnable]:
-    yield from map_pictures(found)
-    drawing = turnable(found.result, words)
+def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | figures.Picture | Turnable]:
+    yield from figures.map_pictures(found)
+    drawing = figures.turnable(found.result, words)
     if drawing is not None:
         yield Turnable(drawing)
 
 
-def _standard(found: Evaluation, name: str) -> Iterator[str | TextTable | Picture]:
+def _standard(found: Evaluation, name: str) -> Iterator[str | TextTable | figures.Picture]:
     """Figures of a standard and its plot, of ISO 230-2 one run after the other."""
     content = found.document["error_map"]
     entry = content.get(name) or ()
     for one in [[run] for run in entry] if name == "iso230_2" else [entry]:
         own = {**content, name: one}
         yield from standard_tables(own, name)
-        yield from standard_pictures(own, name)
+        yield from figures.standard_pictures(own, name)
 
 
 def _effects(found: Evaluation) -> TextTable:
@@ -220,9 +204,9 @@ def _effects(found: Evaluation) -> TextTable:
     return TextTable(say("report.effects_in_model"), (effect, "id", size), tuple(rows))
 
 
-def _motions(found: Evaluation) -> Iterator[str | TextTable | Picture]:
+def _motions(found: Evaluation) -> Iterator[str | TextTable | figures.Picture]:
     table = error_motions(found.result)
-    others = parameters_table(found.document, found.result.joint)
+    others = identification.parameters_table(found.document, found.result.joint)
     known = table[table["determined"].astype(bool) & ~table["motion"].isin([row[0] for row in others.rows])]
     single = tuple(
         (str(row["motion"]), plus_minus(row["value"], row["u"], 1e6), f"µ{row['unit']}")
@@ -233,12 +217,12 @@ def _motions(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     yield from value_tables(found.result)
     if single:
         yield TextTable(say("report.squareness"), heads("", "value_u", "unit"), single)
-    yield from motion_pictures(found)
+    yield from figures.motion_pictures(found)
     if others.rows:
         yield others
 
 
-def _residuals(found: Evaluation) -> Iterator[str | TextTable | Picture]:
+def _residuals(found: Evaluation) -> Iterator[str | TextTable | figures.Picture]:
     labels = found.measured.chosen.labels or ("",)
     rows = [
         (Verbatim(label), Verbatim(one["name"]), str(one["readings"]), micrometres(one["rms"]),
@@ -248,7 +232,7 @@ def _residuals(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     columns = heads("session", "setup", "readings", "residual_um_rms", "over_declared")
     note = say("text.more", n=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
     yield TextTable(say("report.by_setup"), columns, tuple(rows[:_SETUPS]), note)
-    yield from residual_pictures(found)
+    yield from figures.residual_pictures(found)
 
 
 def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
@@ -273,36 +257,36 @@ def _entitled(table: TextTable, found: Evaluation) -> TextTable:
     return replace(table, rows=tuple(tuple(map(told, row)) for row in table.rows))
 
 
-def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
+def _improvement(found: Evaluation) -> Iterator[str | TextTable | figures.Picture]:
     if history := found.measured.history:
         yield tried_models(history, history[-1].number)
     done = found.improvement
     if done is not None and len(done.steps) > 1:
         yield _entitled(steps_table(done), found)
-        yield Picture("improve", say("report.figure_improve"), draw_improvement(done))
+        yield figures.Picture("improve", say("report.figure_improve"), draw_improvement(done))
 
 
-def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:
+def _budget(found: Evaluation) -> Iterator[str | TextTable | figures.Picture]:
     if found.budget is not None:
         yield from budget_parts(found.budget)
-        yield Picture("budget", say("report.figure_budget"), draw_budget(found.budget))
+        yield figures.Picture("budget", say("report.figure_budget"), draw_budget(found.budget))
 
 
 def _undetermined(found: Evaluation) -> Iterator[str | TextTable]:
     document = found.document
     lost = document["not_determined"]
-    found_why = group_by_reason(((one["name"], one["why"]) for one in lost), len(lost))
+    found_why = identification.group_by_reason(((one["name"], one["why"]) for one in lost), len(lost))
     if found_why:
         yield TextTable("", heads("what", "why"), tuple((names, why) for why, names in found_why))
     else:
         yield say("report.all_determined")
-    yield say("report.datum", datum=datum_words(document))
+    yield say("report.datum", datum=identification.datum_words(document))
 
 
 def _rejected(found: Evaluation) -> Iterator[str | TextTable]:
     document = found.document
     yield say("report.used_of", used=document["used"], count=document["observations"])
-    table = replace(readings_set_aside(document, found.measured.recorded), note="")
+    table = replace(identification.readings_set_aside(document, found.measured.recorded), note="")
     if table.rows:
         yield table
 

@@ -9,18 +9,10 @@ from pydantic import Field
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.description import DiagonalSetup
 from machine_tool_calibration.session.record import Positive
+from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
-from machine_tool_calibration.simulation.plan import (
-    Interval,
-    Measurement,
-    Pause,
-    Plan,
-    Vector3,
-    axis_columns,
-    since_first,
-)
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
@@ -30,7 +22,7 @@ Letter = Literal["x", "y", "z"]
 Offset = Annotated[str, Field(pattern=r"^(x(y|z|yz)|y(x|z|xz)|z(x|y|xy))$")]
 
 
-class DiagonalPlan(Plan):
+class DiagonalPlan(plan.Plan):
     """Step diagonals of single-axis moves; without arguments the four space diagonals of a cube of 120 mm.
 
     The paper runs three (ppp, npp, pnp), in 12 blocks of 10 mm. Three leave angular errors to be taken for straightness
@@ -40,7 +32,7 @@ class DiagonalPlan(Plan):
     method: Literal["step_diagonal"] = "step_diagonal"
     step: tuple[Positive, Positive, Positive] = (0.012, 0.012, 0.012)  # length of a move along x, y, z, m
     blocks: Annotated[int, Field(ge=1, le=100_000)] = 10  # number of blocks
-    corner: Vector3 = (0.0, 0.0, 0.0)  # lowest corner of the measured volume, m
+    corner: plan.Vector3 = (0.0, 0.0, 0.0)  # lowest corner of the measured volume, m
     # signs of the motion along x, y, z (p or n); 0 for an axis that stands still, as in `pp0` and `np0` of a
     # measurement in the XY plane
     diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp", "nnp")
@@ -57,8 +49,8 @@ class DiagonalPlan(Plan):
     beam_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
     distance: Positive = 0.3  # from the laser to the mirror at the start of a run, m
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
-    interval: Interval = 12.0
-    pause: Pause = 108.0
+    interval: plan.Interval = 12.0
+    pause: plan.Pause = 108.0
     noise: Positive = 1e-7
     chain: str = "w-Y-X-b-Z-t"
 
@@ -85,7 +77,7 @@ class DiagonalPlan(Plan):
             out.append(_setup(name, "linear", sign, corner + far * self.blocks * step))
         return out
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, environment: Environment, rng: np.random.Generator) -> plan.Measurement:
         """The measurement of a plan: every setup once, then all again for the next repeat."""
         runs = self.runs()
         paths = [np.array(run.path(self.step, self.blocks)) for run in runs]
@@ -113,7 +105,7 @@ class DiagonalPlan(Plan):
             fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
             path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed, disturbance.errors))
             moved = path - self.distance
-            sight = Sight(moved, beam[setup], change=since_first(moved, block))
+            sight = Sight(moved, beam[setup], change=plan.since_first(moved, block))
             return path + disturbance.added(sight)
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
@@ -121,8 +113,8 @@ class DiagonalPlan(Plan):
             return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
 
         description = {"step": list(self.step), "blocks": self.blocks, "setups": [run.model_dump() for run in runs]}
-        columns = axis_columns(position, direction)
-        return Measurement(description, scene, read, block, columns, truth=judged)
+        columns = plan.axis_columns(position, direction)
+        return plan.Measurement(description, scene, read, block, columns, truth=judged)
 
     def _axis_error(self, machine: VirtualMachine, axis: int) -> Array:
         """(blocks + 1, 3) position errors along an axis from the corner, less those of the corner, m."""

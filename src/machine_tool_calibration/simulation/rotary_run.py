@@ -12,19 +12,10 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.session.record import Finite, Positive
+from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
-from machine_tool_calibration.simulation.plan import (
-    Interval,
-    Measurement,
-    Pause,
-    Plan,
-    Vector3,
-    declared_places,
-    since_first,
-    station_name,
-)
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import distance
 
@@ -48,7 +39,7 @@ def sighted(actual: Array, source: Array, axis: str, turned: Array) -> Sight:
     return Sight(path, line / path[:, None], np.arctan2(line[:, 1], line[:, 0]), incidence)
 
 
-class RotaryPlan(Plan):
+class RotaryPlan(plan.Plan):
     """Stations, targets and angles; without arguments the three targets and 20 degree steps of the paper.
 
     For an axis A or B the default targets and stations are those for C with the coordinates turned round, so
@@ -57,8 +48,8 @@ class RotaryPlan(Plan):
 
     method: Literal["rotary_axis"] = "rotary_axis"
     axis: Literal["A", "B", "C"] = "C"  # the rotary axis
-    targets: dict[str, Vector3] | None = None  # by id, in the table frame at zero, nominal, m
-    stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None  # nominal positions, m
+    targets: dict[str, plan.Vector3] | None = None  # by id, in the table frame at zero, nominal, m
+    stations: Annotated[tuple[plan.Vector3, ...], Field(min_length=1)] | None = None  # nominal positions, m
     # commanded angles, rad; 18 steps of 20 degrees if absent
     angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
     # each run goes back through the same angles, so that what drifts with time is not taken for an error of the angle,
@@ -71,8 +62,8 @@ class RotaryPlan(Plan):
     target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5  # likewise of the stated targets
     # target id -> (from, to): angles at which it cannot be seen, rad
     hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
-    interval: Interval = 3.0
-    pause: Pause = 900.0
+    interval: plan.Interval = 3.0
+    pause: plan.Pause = 900.0
     noise: Positive = 2.7e-7
     chain: str = ""
 
@@ -89,7 +80,7 @@ class RotaryPlan(Plan):
         """The chain, and which of its axes is measured."""
         return {"chain": self.chain, "axis": self.axis}
 
-    def marks(self) -> dict[str, Vector3]:
+    def marks(self) -> dict[str, plan.Vector3]:
         """Nominal targets by id."""
         return self.targets or {name: _about(p, self.axis) for name, p in _TARGETS.items()}
 
@@ -114,7 +105,7 @@ class RotaryPlan(Plan):
         there = last_direction(forth)
         return np.concatenate([there, last_direction(back, -there[-1])])
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, environment: Environment, rng: np.random.Generator) -> plan.Measurement:
         """The measurement: station by station, repeat by repeat; all angles for each target, or the reverse."""
         names = list(self.marks())
         nominal = np.array([self.marks()[name] for name in names], float)
@@ -141,7 +132,7 @@ class RotaryPlan(Plan):
             actual = disturbance.on_table(machine, target[label], angle, self.axis) + disturbance.point
             source = station[setup] + disturbance.station
             sight = sighted(actual, source, self.axis, machine.rotation_sign * angle)
-            return sight.path + disturbance.added(replace(sight, change=since_first(sight.path, run)))
+            return sight.path + disturbance.added(replace(sight, change=plan.since_first(sight.path, run)))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
             targets = dict(zip(names, target.tolist(), strict=True))
@@ -149,11 +140,11 @@ class RotaryPlan(Plan):
 
         description = {
             "rotation_sign": self.sign,
-            "targets": declared_places(names, nominal, self.target_uncertainty),
-            "setups": declared_places(map(station_name, count()), estimate, self.station_uncertainty),
+            "targets": plan.declared_places(names, nominal, self.target_uncertainty),
+            "setups": plan.declared_places(map(plan.station_name, count()), estimate, self.station_uncertainty),
         }
         letter = self.axis.lower()
-        return Measurement(
+        return plan.Measurement(
             description,
             scene,
             read,
@@ -173,7 +164,7 @@ class RotaryPlan(Plan):
         }
 
 
-def _about(p: tuple[float, float, float], axis: str) -> Vector3:
+def _about(p: tuple[float, float, float], axis: str) -> plan.Vector3:
     """A point given for C, turned round so that it lies about another axis."""
     shift = {"C": 0, "A": 1, "B": 2}[axis]
     return (p[-shift], p[1 - shift], p[2 - shift])

@@ -12,18 +12,9 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive
+from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.plan import (
-    Measurement,
-    Plan,
-    Vector3,
-    axis_columns,
-    declared_places,
-    since_first,
-    spanned,
-    station_name,
-)
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
@@ -49,18 +40,18 @@ def sighted(actual: Array, origin: Array, azimuth: Array, dimension: int, held: 
     return Sight(path, direction, azimuth, incidence)
 
 
-class TrackingPlan(Plan, Pointer):
+class TrackingPlan(plan.Plan, Pointer):
     """Stations and targets; without them a square of 0.4 m (2-D) or a cube of 0.4 m (3-D) from four stations."""
 
     method: Literal["tracking_interferometer"] = "tracking_interferometer"
     dimension: Literal[2, 3] = 2
     pointing: Literal["open_loop", "tracking"] = "open_loop"
-    stations: tuple[Vector3, ...] | None = None  # nominal rotation centres, m
+    stations: tuple[plan.Vector3, ...] | None = None  # nominal rotation centres, m
     # lines of a grid of targets, m; x runs fastest
     x: Line | None = None
     y: Line | None = None
     z: Line | None = None
-    points: tuple[Vector3, ...] | None = None  # targets one by one instead of a grid, m
+    points: tuple[plan.Vector3, ...] | None = None  # targets one by one instead of a grid, m
     # the estimated stations are off by this (standard deviation per coordinate), m
     station_uncertainty: NotNegative = 1.2e-5
     # every second repeat runs backwards (`alternate`), or all run alike (`same`)
@@ -92,9 +83,9 @@ class TrackingPlan(Plan, Pointer):
 
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the axes that hold all targets, with the zero, m."""
-        return spanned(self.targets())
+        return plan.spanned(self.targets())
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, environment: Environment, rng: np.random.Generator) -> plan.Measurement:
         """The measurement of a plan: true stations by chance around the estimates, one run per repeat and station."""
         truth = self.places()
         spread = rng.normal(size=truth.shape) * self.station_uncertainty
@@ -121,7 +112,7 @@ class TrackingPlan(Plan, Pointer):
             else:
                 origin, held = self.beam(azimuth, elevation, station, disturbance.turn)
                 sight = sighted(actual, origin, azimuth, self.dimension, held)
-            return sight.path + disturbance.added(replace(sight, change=since_first(sight.path, setup)))
+            return sight.path + disturbance.added(replace(sight, change=plan.since_first(sight.path, setup)))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
             return {
@@ -133,7 +124,7 @@ class TrackingPlan(Plan, Pointer):
         description = {
             "dimension": self.dimension,
             "pointing": self.pointing,
-            "setups": declared_places(map(station_name, count()), estimate, self.station_uncertainty),
+            "setups": plan.declared_places(map(plan.station_name, count()), estimate, self.station_uncertainty),
         }
-        columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
-        return Measurement(description, scene, read, setup, columns, truth=judged)
+        columns = plan.axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
+        return plan.Measurement(description, scene, read, setup, columns, truth=judged)

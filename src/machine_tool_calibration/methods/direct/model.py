@@ -22,13 +22,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
-from machine_tool_calibration.methods.direct.datum import (
-    SetupDatum,
-    needed_rows,
-    setup_columns,
-    setup_datum,
-    silent_directions,
-)
+from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
@@ -157,7 +151,7 @@ class DirectModel(MethodModel):
     """Deviations with the errors that the session names."""
 
     tables: tuple[MachineTable, ...]  # the machine errors in the model, in the order of the first terms
-    setups: SetupDatum  # what each setup leaves open
+    setups: datum.SetupDatum  # what each setup leaves open
     fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
     points: tuple[PointErrors, ...] = ()  # in place of tables, errors of every place by itself
 
@@ -203,7 +197,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
     direction = direction / length[:, None]
     path = np.einsum("nj,nj->n", position, direction)
     observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)
-    setups = setup_datum(description.datum, observations)
+    setups = datum.setup_datum(description.datum, observations)
     asked, chain = description.terms if terms is None else tuple(terms), description.machine.kinematics
     if free:
         return _free(observations, setups, point_errors(chain, position, sensed_axes(direction)))
@@ -229,7 +223,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
     )
 
 
-def _free(observations: Observations, setups: SetupDatum, points: tuple[PointErrors, ...]) -> DirectModel:
+def _free(observations: Observations, setups: datum.SetupDatum, points: tuple[PointErrors, ...]) -> DirectModel:
     setup, count = observations.readings.setup, len(observations.session.setup_ids)
     terms = tuple(one.term(observations) for one in points)
     chosen, fixed = _needed(list(point_datum(points, observations, setup)), terms, setups, setup, count)
@@ -272,7 +266,7 @@ def _sensed_terms(
 
 
 def _datum(
-    tables: tuple[MachineTable, ...], terms: tuple[Term, ...], setups: SetupDatum, setup: IntArray, count: int
+    tables: tuple[MachineTable, ...], terms: tuple[Term, ...], setups: datum.SetupDatum, setup: IntArray, count: int
 ) -> tuple[tuple[Constraint, ...], list[str], Array]:
     """Zeros and slopes of tables, as many as the readings leave open: straightness first, positioning last."""
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
@@ -286,14 +280,14 @@ def _datum(
 
 
 def _needed(
-    candidates: Sequence[Constraint], terms: tuple[Term, ...], setups: SetupDatum, setup: IntArray, count: int
+    candidates: Sequence[Constraint], terms: tuple[Term, ...], setups: datum.SetupDatum, setup: IntArray, count: int
 ) -> tuple[list[Constraint], Array]:
     """Those conditions that fix what the readings leave open, and the (unknowns, q) changes that they fix."""
-    columns = np.concatenate([setup_columns(setups.columns, setup, count), *(term.columns for term in terms)])
-    basis, scale = silent_directions(columns)
+    columns = np.concatenate([datum.setup_columns(setups.columns, setup, count), *(term.columns for term in terms)])
+    basis, scale = datum.silent_directions(columns)
     names = [p.name for p in setups.parameters] + [q.name for term in terms for q in term.parameters]
     place = {name: k for k, name in enumerate(names)}
-    chosen, fixed = needed_rows(basis, [weight_row(place, c.weights, len(names)) * scale for c in candidates])
+    chosen, fixed = datum.needed_rows(basis, [weight_row(place, c.weights, len(names)) * scale for c in candidates])
     return [candidates[k] for k in chosen], fixed * scale[:, None]
 
 
@@ -393,7 +387,7 @@ def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]
     return squares, dof, reversal
 
 
-def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
+def _common(tables: Array, setups: datum.SetupDatum, points: Array, direction: Array) -> Array:
     """(3 n, q) unit displacements of all points that the setups leave open, in the directions that are read."""
     n = len(points)
     parts = [tables]

@@ -23,15 +23,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
-from machine_tool_calibration.methods.probing.datum import (
-    LENGTH,
-    NullSpace,
-    Place,
-    choose_places,
-    conditions,
-    known_weights,
-    null_space,
-)
+from machine_tool_calibration.methods.probing import datum
 from machine_tool_calibration.methods.probing.geometry import (
     Touches,
     nominal_points,
@@ -157,9 +149,9 @@ def _axis_c_terms(session: Session, where: Touches, setup: IntArray) -> list[Ter
 def _with_datum(model: ProbingModel) -> ProbingModel:
     description = model.description
     names = [parameter.name for parameter in model.parameters]
-    null = null_space(names, model.dense(), model.touches.point, len(description.workpiece))
-    wanted = conditions(model.tables, [setup.id for setup in description.setups], description.known)
-    places = choose_places(null, wanted)
+    null = datum.null_space(names, model.dense(), model.touches.point, len(description.workpiece))
+    wanted = datum.conditions(model.tables, [setup.id for setup in description.setups], description.known)
+    places = datum.choose_places(null, wanted)
     put = [place for place in places if place is not None]
     measured, unused = _measured(model, null, put)
     # The length is a measurement with an uncertainty of its own, not an exact condition, where a touch reaches it.
@@ -177,12 +169,12 @@ def _with_datum(model: ProbingModel) -> ProbingModel:
     )
 
 
-def _measured(model: ProbingModel, null: NullSpace, put: Sequence[Place]) -> tuple[list[Prior], list[str]]:
+def _measured(model: ProbingModel, null: datum.NullSpace, put: Sequence[datum.Place]) -> tuple[list[Prior], list[str]]:
     rows = np.array([null.weights(place.weights) for place in put]).reshape(-1, len(null.names))
     by_name = {table.name: table for table in model.tables}
     good, bad = [], []
     for name, entry in model.description.known.items():
-        weights = known_weights(by_name[name], entry.position)
+        weights = datum.known_weights(by_name[name], entry.position)
         # A length at which no touch was says nothing of the lengths between the touches.
         if weights and null.fixes(rows, null.weights(weights)):
             good.append(Prior(weights, entry.value, entry.standard_uncertainty))
@@ -196,10 +188,10 @@ def _no_length(description: Probing, unused: Sequence[str]) -> NotDetermined:
         why = say("undetermined.no_length")
     else:
         why = say("undetermined.length_untouched", names=together(unused, say("text.and")))
-    return NotDetermined(LENGTH, why)
+    return NotDetermined(datum.LENGTH, why)
 
 
-def _words(put: Sequence[Place], measured: bool) -> str:
+def _words(put: Sequence[datum.Place], measured: bool) -> str:
     relative = [] if measured else [say("datum.no_length")]
     form = say("datum.form" if measured else "datum.form_no_length")
     return together((together((place.words for place in put), ", "), *relative, form, say("datum.ecc")), "; ")

@@ -32,13 +32,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
-from machine_tool_calibration.methods.step_diagonal.geometry import (
-    Run,
-    across,
-    block_positions,
-    runs_of,
-    step_diagonal_of,
-)
+from machine_tool_calibration.methods.step_diagonal import geometry
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.model import error_map as error_map
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, WAVES_NODES
@@ -91,7 +85,7 @@ def sensed_tables(
 
 
 def tilt_terms(
-    runs: Sequence[Run], observations: Observations, displacement: Array, one_mirror: bool
+    runs: Sequence[geometry.Run], observations: Observations, displacement: Array, one_mirror: bool
 ) -> tuple[Term, ...]:
     """Terms `ppp.tilt` of two tilts, rad, for each setting of the mirror, which `one_mirror` keeps between orders.
 
@@ -109,7 +103,7 @@ def tilt_terms(
         if not mine.any():
             continue
         columns, parameters = [], []
-        for number, direction in enumerate(across(runs[members[0]].beam), start=1):
+        for number, direction in enumerate(geometry.across(runs[members[0]].beam), start=1):
             column = np.where(mine, displacement @ direction, 0.0)
             if np.abs(column).max() > 1e-9:
                 columns.append(column)
@@ -124,7 +118,7 @@ _SAME_LINE = 1e-6
 
 
 def second_order(
-    runs: Sequence[Run], setup: IntArray, displacement: Array, error: Array, end_error: Array, tilt: Array
+    runs: Sequence[geometry.Run], setup: IntArray, displacement: Array, error: Array, end_error: Array, tilt: Array
 ) -> Array:
     """(n,) exact minus first-order reading, m, at a first solution.
 
@@ -157,15 +151,15 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     Diagonals and linear runs in any number, orders and repeats; what they do not determine is found by the solver.
     A ModelError says that there are no readings, or a machine without the axes that move.
     """
-    description = step_diagonal_of(session)
-    runs = runs_of(description)
+    description = geometry.step_diagonal_of(session)
+    runs = geometry.runs_of(description)
     readings = session.readings.select(
         np.isfinite(session.readings.displacement) & np.isfinite(session.readings.position()).all(axis=1)
     )
     if not len(readings):
         raise ModelError(f"{session.source}: no reading to identify from")
     chain = description.machine.kinematics
-    blocks = block_positions(description, readings)
+    blocks = geometry.block_positions(description, readings)
     moved = {axis: nodes for axis, nodes in zip("XYZ", blocks, strict=True) if len(nodes) > 1}
     for axis in moved:
         if axis not in chain.linear:
@@ -203,7 +197,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     return free_angles(base, rotations)
 
 
-def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> tuple[Observations, Array]:
+def _observations(session: Session, readings: Readings, runs: Sequence[geometry.Run]) -> tuple[Observations, Array]:
     """Readings by the direction that each senses, and displacements from the run's start: before it is dead path."""
     run = groups(readings.setup, readings.repeat)
     position = readings.position()
@@ -282,7 +276,7 @@ def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
     value = dict(zip([p.name for p in model.parameters], theta, strict=True))
     out = np.zeros((len(model.runs), 3))
     for k, run in enumerate(model.runs):
-        for number, direction in enumerate(across(run.beam), start=1):
+        for number, direction in enumerate(geometry.across(run.beam), start=1):
             own, shared = f"{run.id}.tilt_{number}", f"{run.name}.tilt_{number}"
             out[k] += value.get(own, value.get(shared, 0.0)) * direction
     return out

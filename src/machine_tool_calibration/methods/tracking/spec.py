@@ -8,16 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, unit_vectors
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.checks.mistakes import (
-    LENGTHS,
-    SENSES,
-    UNITS,
-    described,
-    exchanged_axes,
-    in_degrees,
-    scaled,
-    with_columns,
-)
+from machine_tool_calibration.session.checks import mistakes
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
     enough_stations,
@@ -176,13 +167,13 @@ def _off_beam(session: Session) -> Array:
 def _beam_mistakes(session: Session, dimension: int) -> Iterator[Supposition]:
     azimuth = session.readings.columns["azimuth"]
     elevation = session.readings.columns.get("elevation", np.zeros(len(azimuth)))
-    yield in_degrees(session, "azimuth and elevation look", "azimuth", "elevation")
+    yield mistakes.in_degrees(session, "azimuth and elevation look", "azimuth", "elevation")
     what = "azimuth and elevation point from the target to the station"
-    yield with_columns(session, what, azimuth=azimuth + np.pi, elevation=-elevation)
+    yield mistakes.with_columns(session, what, azimuth=azimuth + np.pi, elevation=-elevation)
     what = "azimuth looks as if it was counted clockwise; it is counter-clockwise from +X, seen from +Z"
-    yield with_columns(session, what, azimuth=-azimuth)
-    yield with_columns(session, "azimuth looks as if it was off by half a turn", azimuth=azimuth + np.pi)
-    yield from exchanged_axes(session, dimension)
+    yield mistakes.with_columns(session, what, azimuth=-azimuth)
+    yield mistakes.with_columns(session, "azimuth looks as if it was off by half a turn", azimuth=azimuth + np.pi)
+    yield from mistakes.exchanged_axes(session, dimension)
     yield from badly_exchanged(session, _off_beam, "setup")
 
 
@@ -193,13 +184,13 @@ def _off_path(session: Session) -> Array:
 
 
 def _path_mistakes(session: Session, description: TrackingInterferometer) -> Iterator[Supposition]:
-    yield from scaled(session, *UNITS, *SENSES)
+    yield from mistakes.scaled(session, *mistakes.UNITS, *mistakes.SENSES)
     places = ((setup, tuple(1e-3 * v for v in setup.position)) for setup in description.setups)
     setups = tuple(setup.model_copy(update={"position": place}) for setup, place in places)
-    yield described(session, f"the stations' positions look {LENGTHS}", setups=setups)
+    yield mistakes.described(session, f"the stations' positions look {mistakes.LENGTHS}", setups=setups)
     metres = dict(zip("xyz", 1e-3 * session.readings.position().T, strict=True))
-    yield with_columns(session, f"x, y and z look {LENGTHS}", **metres)
-    yield from exchanged_axes(session, description.dimension)
+    yield mistakes.with_columns(session, f"x, y and z look {mistakes.LENGTHS}", **metres)
+    yield from mistakes.exchanged_axes(session, description.dimension)
     yield from badly_exchanged(session, _off_path, "setup")
 
 
