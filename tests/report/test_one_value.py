@@ -56,8 +56,8 @@ pytestmark = pytest.mark.usefixtures("few_draws")
 def no_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("map_pictures", "motion_pictures", "residual_pictures"):
-            patch.setattr(room, name, lambda *_: iter(()))
-        patch.setattr(room, "turnable", lambda *_: None)
+            patch.setattr(room.figures, name, lambda *_: iter(()))
+        patch.setattr(room.figures, "turnable", lambda *_: None)
         patch.setenv("COLUMNS", "500")
         yield
 

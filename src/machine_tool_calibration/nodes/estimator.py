@@ -21,10 +21,9 @@ from machine_tool_calibration.methods.build import model_names
 from machine_tool_calibration.nodes.calculation import Outcome, Request, compared, diagnosed, identified, improved
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.publications import TOPICS
-from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message, stamp_now
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, StatusTopic, from_message, stamp_now
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.session.collect import Reading, Received
 
 _CALCULATIONS = (

@@ -27,11 +27,10 @@ from machine_tool_calibration.instruments.samples import Batch, DriverSource, No
 from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
-from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, from_message, now, seconds
+from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, StatusTopic, from_message, now, seconds
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import place_of, rotation_of
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
-from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.simulation.interferometer import SimulatedSource
 from machine_tool_calibration.simulation.optics import make_optics
 from machine_tool_calibration.simulation.site import Beam, Site, read_site

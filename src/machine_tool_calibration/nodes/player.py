@@ -15,10 +15,9 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
-from machine_tool_calibration.nodes.ros.messages import Level, to_message
+from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, to_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class, qos_profile
 from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.metadata import Qos, Topic

@@ -6,9 +6,8 @@ from datetime import datetime
 from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
-from machine_tool_calibration.nodes.ros.messages import Level, now, status
+from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, now, status
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
 from machine_tool_calibration.recording.metadata import Qos

@@ -17,8 +17,7 @@ from machine_tool_calibration.budget.enough import Reached, Until, determined, r
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level
-from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, StatusTopic
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.procedure import plan
 from machine_tool_calibration.session.catalogue import method_spec

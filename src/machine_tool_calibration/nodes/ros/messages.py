@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of messages that all nodes need: quality of service, stamps, status, trajectories, point clouds."""
+"""Parts of messages that all nodes need: quality of service, stamps, status, trajectories, point clouds.
+
+What a node says of itself is latched on a topic of its own, and stands once a second on `/diagnostics`, by the
+convention of `diagnostic_updater` (REP 107): an entry named `<node>: <what>`, again and again, so that an aggregator
+notices a node that has fallen silent.
+"""
 
 import math
 import time
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, TypeVar
 
@@ -13,12 +18,14 @@ from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 from machine_tool_calibration.recording.graph import MACHINE
 
@@ -184,3 +191,63 @@ def columns(message: PointCloud2) -> dict[str, Array]:
     """The fields of such a message, each (n,)."""
     rows = np.frombuffer(bytes(message.data), "<f8").reshape(message.width, len(message.fields))
     return {field.name: rows[:, index].copy() for index, field in enumerate(message.fields)}
+
+
+_PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent after 5 s
+
+
+class StatusTopic:
+    """Says how a node is, and the device behind it, on a topic of its own: `~/status`, latched, by default.
+
+    The clock gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        name: str,
+        *,
+        publisher: Publisher | None = None,
+        hardware_id: str = NO_HARDWARE,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        self._node = node
+        self._publisher = publisher or node.create_publisher(DiagnosticArray, "~/status", LATCHED)
+        self._name, self._hardware = name, hardware_id
+        self._clock = clock or (lambda: now(node))
+        self._said: tuple[Level, str, Mapping[str, object], Sequence[DiagnosticStatus]] | None = None
+        self._ignored = node.ignored_entries
+        self._is_dated = True
+        self._common = node.create_publisher(DiagnosticArray, "/diagnostics", SLOW)
+        node.every(_PERIOD, self._repeat)
+
+    def say(
+        self, level: Level, text: str, entries: Mapping[str, object], more: Sequence[DiagnosticStatus] = ()
+    ) -> None:
+        """Publish a status; the messages that were ignored are added, `more` entries to the node's own topic only."""
+        self._said, self._ignored = (level, text, entries, more), self._node.ignored_entries
+        self._is_dated = self._clock() > 0
+        self._publisher.publish(self._message([self._own(level, text, entries), *more]))
+
+    def show(self, level: Level, text: str, entries: Mapping[str, object]) -> None:
+        """As `say`, where anything has changed since it was said last."""
+        if self._said != (level, text, entries, ()):
+            self.say(level, text, entries)
+
+    def _own(self, level: Level, text: str, entries: Mapping[str, object]) -> DiagnosticStatus:
+        return status(self._name, level, text, {**entries, **self._ignored}, self._hardware)
+
+    def _repeat(self) -> None:
+        if self._said is None:
+            return
+        is_dated_now = not self._is_dated and self._clock() > 0  # simulated time has begun
+        if is_dated_now or self._ignored != self._node.ignored_entries:
+            self.say(*self._said)
+        own = self._own(*self._said[:3])
+        own.name = f"{self._node.get_fully_qualified_name().lstrip('/')}: {own.name}"
+        self._common.publish(self._message([own]))
+
+    def _message(self, entries: list[DiagnosticStatus]) -> DiagnosticArray:
+        message = DiagnosticArray(status=entries)
+        message.header.stamp = to_message(self._clock() or time.time_ns())
+        return message

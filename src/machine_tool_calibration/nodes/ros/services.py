@@ -32,16 +32,8 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import (
-    LATCHED,
-    OUTCOMES,
-    Level,
-    dated,
-    from_message,
-    stamp_now,
-    status,
-    to_message,
-)
+from machine_tool_calibration.nodes.ros import messages
+from machine_tool_calibration.nodes.ros.messages import Level, from_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
 
@@ -108,7 +100,7 @@ def goal_of(message: str) -> str:
 class Outcomes:
     """Publishes what requests gave; several may end at once, and each outcome is waited for."""
 
-    def __init__(self, node: Node, topic: str = "~/outcome", qos: QoSProfile = OUTCOMES) -> None:
+    def __init__(self, node: Node, topic: str = "~/outcome", qos: QoSProfile = messages.OUTCOMES) -> None:
         self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
 
     def answer(
@@ -128,7 +120,9 @@ class Outcomes:
         self, verb: str, goal: str, stamp: int, text: str, values: Mapping[str, object], level: Level = Level.OK
     ) -> None:
         """Publish an outcome of the goal of that id, at a time, ns."""
-        self._publisher.publish(dated(DiagnosticArray(status=[status(verb, level, text, values, goal)]), stamp, ""))
+        self._publisher.publish(
+            messages.dated(DiagnosticArray(status=[messages.status(verb, level, text, values, goal)]), stamp, "")
+        )
 
 
 Outcome = TypeVar("Outcome")
@@ -180,8 +174,8 @@ class Goals:
         self._goals: deque[_Goal] = deque(maxlen=_GOALS_KEPT)
         self.step, self.share = "", 0.0
         self.last, self.level = "", Level.OK
-        self._statuses = node.create_publisher(GoalStatusArray, "~/goals", LATCHED)
-        self._outcomes = Outcomes(node, qos=LATCHED)
+        self._statuses = node.create_publisher(GoalStatusArray, "~/goals", messages.LATCHED)
+        self._outcomes = Outcomes(node, qos=messages.LATCHED)
         node.create_service(CancelGoal, "~/cancel", self._cancel)
 
     @property
@@ -215,7 +209,7 @@ class Goals:
                 seconds = f"{time.monotonic() - self._present.began:.0f} s so far"
                 raise CalibrationError(f"busy: {self.doing} ({seconds}); ask again when that is done")
             doing, work = begin()
-            goal = self._present = _Goal(verb, uuid.uuid4(), stamp_now(self._node), doing, time.monotonic())
+            goal = self._present = _Goal(verb, uuid.uuid4(), messages.stamp_now(self._node), doing, time.monotonic())
             self._goals.append(goal)
             self.step, self.share = "", 0.0
             self._show()
@@ -258,7 +252,7 @@ class Goals:
         else:
             self.last, found = done(outcome)
             goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, Level.OK
-        self._outcomes.tell(goal.verb, goal.number.hex, stamp_now(self._node), self.last, found, self.level)
+        self._outcomes.tell(goal.verb, goal.number.hex, messages.stamp_now(self._node), self.last, found, self.level)
         self._show()
 
     def _cancel(self, request: CancelGoal.Request, response: CancelGoal.Response) -> CancelGoal.Response:
@@ -283,6 +277,6 @@ class Goals:
 
 
 def _info(goal: _Goal) -> GoalInfo:
-    info = GoalInfo(stamp=to_message(goal.stamp))
+    info = GoalInfo(stamp=messages.to_message(goal.stamp))
     info.goal_id.uuid = list(goal.number.bytes)
     return info
