@@ -86,17 +86,7 @@ class Published:
 
 
 class Heard:
-    """Everything as it was said last.
-
-    Attributes:
-        ignored: how many messages meant nothing, and why the last one did not.
-        description: of the session.
-        setups: ids of its setups.
-        published: what the estimator published last.
-        outcomes: what requests gave, the last one by node.
-        offers: services that may be asked for.
-        refusing: nodes that do not allow their services to move axes.
-    """
+    """Everything as it was said last."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -107,13 +97,13 @@ class Heard:
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
         self._calls: deque[Call] = deque(maxlen=_CALLS)
-        self.ignored = (0, "")
-        self.description = ""
-        self.setups: tuple[str, ...] = ()
-        self.published = Published()
-        self.outcomes: dict[str, NodeState] = {}
-        self.offers: tuple[Offer, ...] = ()
-        self.refusing: tuple[str, ...] = ()
+        self.ignored = (0, "")  # how many messages meant nothing, and why the last one did not
+        self.description = ""  # of the session
+        self.setups: tuple[str, ...] = ()  # ids of its setups
+        self.published = Published()  # by the estimator, last
+        self.outcomes: dict[str, NodeState] = {}  # what requests gave, the last one by node
+        self.offers: tuple[Offer, ...] = ()  # services that may be asked for
+        self.refusing: tuple[str, ...] = ()  # nodes that do not allow their services to move axes
 
     # --- the thread that hears
 

@@ -83,18 +83,13 @@ class Measured:
 
 
 class _Listeners:
-    """Watches the graph: a node that only listens is started again when it ends, any other ends the measurement.
-
-    Attributes:
-        bag: the recorder's, or that of the one that was started last.
-        remarks: what was missed, a sentence for each time.
-    """
+    """Watches the graph: a node that only listens is started again when it ends, any other ends the measurement."""
 
     def __init__(self, graph: Graph, output: Path) -> None:
         self._graph, self._output = graph, output
-        self.bag = output / "bag"
+        self.bag = output / "bag"  # the recorder's, or that of the one that was started last
         self.client: Client | None = None
-        self.remarks: list[str] = []
+        self.remarks: list[str] = []  # what was missed, a sentence for each time
 
     def watch(self) -> None:
         """Look after the processes. A CalibrationError: one has ended that the measurement cannot do without."""

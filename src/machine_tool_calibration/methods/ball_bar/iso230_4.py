@@ -27,17 +27,11 @@ WAYS: Mapping[str, float] = {"ccw": 1.0, "cw": -1.0}
 
 @dataclass(frozen=True)
 class _Path:
-    """The mean of all runs of one way round, place by place in the order of the angle.
+    """The mean of all runs of one way round, place by place in the order of the angle."""
 
-    Attributes:
-        angle: (k,) rad.
-        radial: (k,) radial deviation as it was read, m.
-        u: (k,) its standard uncertainty, m.
-    """
-
-    angle: Array
-    radial: Array
-    u: Array
+    angle: Array  # (k,) rad
+    radial: Array  # (k,) radial deviation as it was read, m
+    u: Array  # (k,) its standard uncertainty, m
 
     def about(self, circle: Array) -> Array:
         """(k,) radial deviations about a circle: offsets of its centre along both axes and of its radius, m."""

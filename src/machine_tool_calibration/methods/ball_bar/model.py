@@ -36,17 +36,11 @@ from machine_tool_calibration.words import say
 
 @dataclass(frozen=True)
 class CircleModel(MethodModel):
-    """Centre and length of the bar in every setup; squareness and difference of the scales of the machine.
+    """Centre and length of the bar in every setup; squareness and difference of the scales of the machine."""
 
-    Attributes:
-        tables: squareness errors of the planes that were measured.
-        scales: letters of the axes whose scales are compared, the first one the reference.
-        second_order: (n,) what the offset of the centre adds to its first order, m.
-    """
-
-    tables: tuple[MachineTable, ...]
-    scales: str
-    second_order: Array
+    tables: tuple[MachineTable, ...]  # squareness errors of the planes that were measured
+    scales: str  # letters of the axes whose scales are compared, the first one the reference
+    second_order: Array  # (n,) what the offset of the centre adds to its first order, m
 
     @property
     def own(self) -> tuple[Parameter, ...]:

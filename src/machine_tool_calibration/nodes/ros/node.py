@@ -42,21 +42,16 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
 
     All that calls the node passes here: its subscriptions, that of its clock included, its timers, and its services. A
     message that means nothing, or that its callback cannot use, is ignored; the log says so once for each topic.
-
-    Attributes:
-        ignored: messages that were ignored, by topic.
-        choices: values of a parameter that are allowed, by its name.
-        is_configured: whether what the parameters name is in use.
     """
 
-    is_configured = False
+    is_configured = False  # whether what the parameters name is in use
 
     def __init__(self, name: str, **more: Any) -> None:
         # before the node's own start, which subscribes to the clock
-        self.ignored: dict[str, int] = {}
+        self.ignored: dict[str, int] = {}  # messages that were ignored, by topic
         self._last_ignored = ""
         self._failed: set[str] = set()
-        self.choices: dict[str, tuple[str, ...]] = {}
+        self.choices: dict[str, tuple[str, ...]] = {}  # values of a parameter that are allowed, by its name
         self._fixed: set[str] = set()
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **more)
         # what was given, until the node declares it
@@ -224,10 +219,6 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
     activates it again has one that begins anew.
 
     Its name is its module's, where it is given no other.
-
-    Attributes:
-        fault: why the last transition failed; empty if it did not.
-        done: whether the node has nothing more to do, which ends its process.
     """
 
     def __init__(self) -> None:
@@ -237,7 +228,8 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         for service in self.services:
             if service.srv_type is ChangeState:
                 service.callback = partial(_change_state, service.callback)
-        self.fault, self.done = "", False
+        self.fault = ""  # why the last transition failed; empty if it did not
+        self.done = False  # whether the node has nothing more to do, which ends its process
         self._kept: set[Any] = set()  # what the node has before it is activated
         self.autostart = self.declare(
             "autostart", True, "whether the node configures and activates itself; false: a lifecycle manager does"

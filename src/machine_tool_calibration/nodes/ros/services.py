@@ -159,11 +159,6 @@ class Goals:
     """The goals of a node, one at a time; each runs in a thread beside the node's own.
 
     `changed` is called when a goal begins or ends.
-
-    Attributes:
-        step: the part of the present one that is under way.
-        share: how much of it is finished, 0 to 1.
-        last: sentence about the one that ended last, and its level.
     """
 
     def __init__(self, node: ManagedNode, changed: Callable[[], None]) -> None:
@@ -172,8 +167,8 @@ class Goals:
         self._is_closed = False
         self._present: _Goal | None = None
         self._goals: deque[_Goal] = deque(maxlen=_GOALS_KEPT)
-        self.step, self.share = "", 0.0
-        self.last, self.level = "", Level.OK
+        self.step, self.share = "", 0.0  # the part of the present one that is under way, and how much of it is finished
+        self.last, self.level = "", Level.OK  # sentence about the one that ended last, and its level
         self._statuses = node.create_publisher(GoalStatusArray, "~/goals", messages.LATCHED)
         self._outcomes = Outcomes(node, qos=messages.LATCHED)
         node.create_service(CancelGoal, "~/cancel", self._cancel)
