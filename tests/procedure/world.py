@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.procedure.events import (
     Aim,
     Aimed,
@@ -29,6 +28,7 @@ from machine_tool_calibration.procedure.events import (
 )
 from machine_tool_calibration.procedure.plan import Plan
 from machine_tool_calibration.procedure.sequencer import Sequencer
+from machine_tool_calibration.procedure.steps import pointing
 
 SECOND = 1_000_000_000
 TICK = 0.1

@@ -4,13 +4,8 @@
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects import pointed_beam
 from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.effects.pointed_beam import (
-    POINTED_INSTRUMENTS,
-    POINTED_METHODS,
-    cosine_of_elevation,
-    is_open_loop,
-)
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -34,14 +29,14 @@ class PointerAxisOffset(Effect):
         Coefficient("q", "m^2", 0.0, 1e-5, say("coefficient.beam_off")),
     )
     covariates = ("elevation", "path")
-    methods = POINTED_METHODS
-    instruments = POINTED_INSTRUMENTS
+    methods = pointed_beam.POINTED_METHODS
+    instruments = pointed_beam.POINTED_INSTRUMENTS
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """The beam's distance only where the beam follows."""
-        return self.coefficients[:1] if is_open_loop(observations) else self.coefficients
+        return self.coefficients[:1] if pointed_beam.is_open_loop(observations) else self.coefficients
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Minus the cosine of the beam's elevation, and minus the reciprocal of twice the path."""
-        every = np.asarray([-cosine_of_elevation(observations), -0.5 / observations.path])
+        every = np.asarray([-pointed_beam.cosine_of_elevation(observations), -0.5 / observations.path])
         return every[: len(self.coefficients_for(observations))]

@@ -4,14 +4,9 @@
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects import pointed_beam
 from machine_tool_calibration.effects.effect import Shape
 from machine_tool_calibration.effects.families import HarmonicEffect
-from machine_tool_calibration.effects.pointed_beam import (
-    POINTED_INSTRUMENTS,
-    POINTED_METHODS,
-    azimuth,
-    cosine_of_elevation,
-)
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -37,18 +32,20 @@ class PointerRadialError(HarmonicEffect):
         Shape("cosines", "1", 0.0, 1.0, discrete=True, meaning=say("coefficient.cosines_of_elevation")),
     )
     covariates = ("azimuth", "elevation")
-    methods = POINTED_METHODS
-    instruments = POINTED_INSTRUMENTS
+    methods = pointed_beam.POINTED_METHODS
+    instruments = pointed_beam.POINTED_INSTRUMENTS
 
     def angle(self, observations: Observations) -> Array:
         """The azimuth."""
-        return azimuth(observations.direction)
+        return pointed_beam.azimuth(observations.direction)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Few orders, or many; with the cosine of the elevation, and without where that differs."""
-        powers = (1.0, 0.0) if np.ptp(cosine_of_elevation(observations)) > _SAME_ELEVATION else (1.0,)
+        powers = (1.0, 0.0) if np.ptp(pointed_beam.cosine_of_elevation(observations)) > _SAME_ELEVATION else (1.0,)
         return [(*orders, power) for orders in super().shape_grid(observations) for power in powers]
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of each order, times the cosine of the elevation to its power."""
-        return np.asarray(cosine_of_elevation(observations) ** shape[1] * super().columns(observations, shape))
+        return np.asarray(
+            pointed_beam.cosine_of_elevation(observations) ** shape[1] * super().columns(observations, shape)
+        )

@@ -11,14 +11,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine import error_motions
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import (
-    SQUARENESS,
-    interpolation,
-    motion_field,
-    parse_motion,
-    squareness_field,
-)
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import Estimate, Result
 from machine_tool_calibration.model.rigid_body import MachineTable
@@ -57,17 +51,17 @@ class AxisTable:
     @property
     def axis(self) -> str:
         """X, Y or Z; A, B or C."""
-        return parse_motion(self.name).axis
+        return error_motions.parse_motion(self.name).axis
 
     @property
     def unit(self) -> str:
         """Of the values: m, or rad for an angle."""
-        return "rad" if parse_motion(self.name).is_rotation else "m"
+        return "rad" if error_motions.parse_motion(self.name).is_rotation else "m"
 
     @property
     def is_positioning(self) -> bool:
         """Whether it is the error along the axis itself."""
-        return parse_motion(self.name).component == self.axis
+        return error_motions.parse_motion(self.name).component == self.axis
 
 
 @dataclass(frozen=True)
@@ -92,10 +86,12 @@ class AxisTables:
         """
         error = np.zeros_like(points)
         for table in self.tables:
-            scalar = table.value @ interpolation(table.nodes, points[:, "XYZ".index(table.axis)])
-            error += scalar[:, None] * motion_field(self.chain, parse_motion(table.name), points)
+            scalar = table.value @ error_motions.interpolation(table.nodes, points[:, "XYZ".index(table.axis)])
+            error += scalar[:, None] * error_motions.motion_field(
+                self.chain, error_motions.parse_motion(table.name), points
+            )
         for name, (value, _) in self.squareness.items():
-            error += value * squareness_field(name, points)
+            error += value * error_motions.squareness_field(name, points)
         if directions is not None:
             for axis, (half, _) in self.backlash.items():
                 error[:, "XYZ".index(axis)] -= half * directions[:, "XYZ".index(axis)]
@@ -140,7 +136,7 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
     sessions = [model.observations.session for model in models]
     common = getattr(result, "common", None) or models[0]
     tables: Sequence[MachineTable] = getattr(common, "tables", None) or ()
-    named = ("E", "backlash_", *SQUARENESS)
+    named = ("E", "backlash_", *error_motions.SQUARENESS)
     left_out = [entry for entry in result.not_determined if entry.name.startswith(named)]
     squareness: dict[str, tuple[float, float]] = {}
     if "x_position" in result.error_map.content:
@@ -180,7 +176,7 @@ def _terms(
             if estimates[0] is not None:
                 squareness[table.name] = (estimates[0].value, estimates[0].standard_uncertainty)
             continue
-        if parse_motion(table.name).axis not in "XYZ":
+        if error_motions.parse_motion(table.name).axis not in "XYZ":
             continue
         value = np.array([np.nan if e is None else e.value for e in estimates])
         spread = np.array([np.nan if e is None else e.standard_uncertainty for e in estimates])

@@ -16,7 +16,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.ros import messages
@@ -24,6 +23,7 @@ from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, nano
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
+from machine_tool_calibration.procedure.steps import pointing
 from machine_tool_calibration.session.description import Description, StationSetup
 from machine_tool_calibration.simulation.site import Beam, Site, read_site
 

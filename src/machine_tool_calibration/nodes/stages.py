@@ -49,9 +49,6 @@ class Stages:
         model: variant of the model; the default if absent.
         effects: added to the model.
         by_hand: whether a person takes the instrument to its setups, if it has to be taken there.
-
-    Attributes:
-        reached: after each stage so far.
     """
 
     def __init__(
@@ -71,7 +68,7 @@ class Stages:
         self._wanted = 1
         if self._until.u is not None:  # all that the whole procedure determines
             self._wanted = determined(FitRequest((planned_session(procedure).session,), None, self._model))
-        self.reached: list[Reached] = []
+        self.reached: list[Reached] = []  # after each stage so far
         publisher = client.node.create_publisher(DiagnosticArray, "until/status", LATCHED)
         self._status = StatusTopic(client.node, "until", publisher=publisher)
 

@@ -14,7 +14,6 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.instruments.touch import Part
-from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.model.effect_sizes import smallest_signal
@@ -23,7 +22,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.plan import plan
-from machine_tool_calibration.procedure.steps import Step
+from machine_tool_calibration.procedure.steps import Step, pointing
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (

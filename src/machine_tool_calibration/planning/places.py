@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, gaps_around
-from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.methods.rotary_axis.spec import on_table
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, halts_of, run_of, runs_of
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition, fresh_id
+from machine_tool_calibration.procedure.steps import pointing
 from machine_tool_calibration.session.description import (
     Probing,
     RotaryAxis,

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.machine.chain import Chain
@@ -217,6 +218,16 @@ def _aim(procedure: Procedure, position: Mapping[str, float], target: int | None
         place[i], place[j] = np.cos(angle) * u - np.sin(angle) * v, np.sin(angle) * u + np.cos(angle) * v
         return float(place[0]), float(place[1]), float(place[2])
     return position.get("x", 0.0), position.get("y", 0.0), position.get("z", 0.0)
+
+
+def pointing(target: Array, station: Array) -> tuple[Array, Array]:
+    """(n,) azimuth about +Z from +X and elevation from the XY plane, rad, that direct the beam to commanded targets.
+
+    Ibaraki et al. 2014, Eq. (1), with the four-quadrant arctangent and, in three dimensions, the elevation. Targets are
+    (n, 3), the station's estimated rotation centre (3,) or (n, 3), in the machine frame, m.
+    """
+    line = target - station
+    return np.arctan2(line[..., 1], line[..., 0]), np.arctan2(line[..., 2], np.hypot(line[..., 0], line[..., 1]))
 
 
 def path_steps(procedure: Procedure) -> Iterator[Step]:

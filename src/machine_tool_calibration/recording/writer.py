@@ -13,15 +13,8 @@ from typing import Self
 from mcap.writer import IndexType, Writer
 
 from machine_tool_calibration.errors import RecordingError
+from machine_tool_calibration.recording import metadata
 from machine_tool_calibration.recording.cdr import definition_of
-from machine_tool_calibration.recording.metadata import (
-    FileSummary,
-    Qos,
-    Topic,
-    bag_information,
-    bag_information_text,
-    qos_text,
-)
 
 _LIBRARY = "libmcap 1.3.1; machine_tool_calibration"  # rosbag2's library in Jazzy, whose layout this is
 _CHUNK = 768 << 10  # bytes at which a chunk ends
@@ -75,7 +68,7 @@ class _File:
 
 @dataclass
 class _Registered:
-    summary: Topic
+    summary: metadata.Topic
     definition: bytes
     schema_encoding: str
 
@@ -111,7 +104,7 @@ class BagWriter:
         self._topics: dict[str, _Registered] = {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._files: list[FileSummary] = []
+        self._files: list[metadata.FileSummary] = []
         self._file: _File | None = None
         self._mcap: Writer | None = None  # None as well while a file that was ended waits for room
         self._kept: tuple[int, dict[str, int]] = (0, {})  # messages of the file that are flushed, by topic
@@ -131,7 +124,7 @@ class BagWriter:
         return sum(file.messages for file in self._files)
 
     @property
-    def topics(self) -> tuple[Topic, ...]:
+    def topics(self) -> tuple[metadata.Topic, ...]:
         """The topics with their numbers of messages."""
         return tuple(
             replace(topic.summary, messages=sum(file.by_topic.get(name, 0) for file in self._files))
@@ -143,7 +136,7 @@ class BagWriter:
         return topic in self._topics
 
     @property
-    def summaries(self) -> tuple[FileSummary, ...]:
+    def summaries(self) -> tuple[metadata.FileSummary, ...]:
         """What each file holds so far."""
         return tuple(self._files)
 
@@ -162,7 +155,7 @@ class BagWriter:
         name: str,
         message_type: str,
         *,
-        qos: Sequence[Qos] = (),
+        qos: Sequence[metadata.Qos] = (),
         definition: str | None = None,
         type_hash: str | None = None,
         encoding: str = "cdr",
@@ -181,7 +174,7 @@ class BagWriter:
             type_hash = known.type_hash if type_hash is None else type_hash
         if schema_encoding is None:
             schema_encoding = "ros2msg" if definition else ""
-        summary = Topic(name, message_type, type_hash, tuple(qos), 0, encoding)
+        summary = metadata.Topic(name, message_type, type_hash, tuple(qos), 0, encoding)
         self._topics[name] = _Registered(summary, definition.encode(), schema_encoding)
         self._register(self._writer(), name)
 
@@ -234,7 +227,7 @@ class BagWriter:
                 raise
             part = self.folder / "metadata.yaml.part"
             with self._written(), part.open("w", encoding="utf-8") as stream:
-                stream.write(bag_information_text({"rosbag2_bagfile_information": self._information()}))
+                stream.write(metadata.bag_information_text({"rosbag2_bagfile_information": self._information()}))
                 stream.flush()
                 os.fsync(stream.fileno())
                 os.replace(part, self.folder / "metadata.yaml")
@@ -261,7 +254,7 @@ class BagWriter:
         name = f"{Path(os.path.realpath(self.folder)).name}_{len(self._files)}.mcap"
         with self._written():
             self._file = _File(self.folder / name)
-        self._files.append(FileSummary(name))
+        self._files.append(metadata.FileSummary(name))
         self._kept, self._flushed = (0, {}), time.monotonic()
         kinds = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
         self._mcap = Writer(self._file, chunk_size=self._chunk_bytes, index_types=kinds)  # type: ignore[arg-type]
@@ -277,9 +270,12 @@ class BagWriter:
         kind = topic.summary.type
         if kind not in self._schemas:
             self._schemas[kind] = writer.register_schema(kind, topic.schema_encoding, topic.definition)
-        metadata = {"offered_qos_profiles": qos_text(topic.summary.qos), "topic_type_hash": topic.summary.type_hash}
+        told = {
+            "offered_qos_profiles": metadata.qos_text(topic.summary.qos),
+            "topic_type_hash": topic.summary.type_hash,
+        }
         encoding = topic.summary.encoding
-        self._channels[name] = writer.register_channel(name, encoding, self._schemas[kind], metadata)
+        self._channels[name] = writer.register_channel(name, encoding, self._schemas[kind], told)
 
     def _is_full(self, file: _File, log_time: int) -> bool:
         summary = self._files[-1]
@@ -302,10 +298,10 @@ class BagWriter:
         self._file = None
 
     def _add_information(self, writer: Writer) -> None:
-        writer.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
+        writer.add_metadata("rosbag2", {"serialized_metadata": metadata.bag_information_text(self._information())})
 
     def _information(self) -> dict[str, object]:
-        return bag_information(self._files, self.topics)
+        return metadata.bag_information(self._files, self.topics)
 
     @contextmanager
     def _written(self) -> Iterator[None]:

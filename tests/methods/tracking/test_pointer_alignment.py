@@ -13,9 +13,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.cli.align_pointer import command
 from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.importing.own import read_alignment
-from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle
 from machine_tool_calibration.procedure import plan, read_procedure
+from machine_tool_calibration.procedure.steps import pointing
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.sensors import Pointer, sensed_path

@@ -24,17 +24,7 @@ from machine_tool_calibration.arrays import Array, IntArray, rigid_motions
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
-from machine_tool_calibration.methods.rotary_axis.datum import (
-    HELD_WITHIN,
-    ROTARY_DATUM,
-    covered_angle,
-    motion_constraints,
-    target_constraints,
-    unseen_motions,
-    unseen_names,
-    unsensed_motions,
-    weak_places,
-)
+from machine_tool_calibration.methods.rotary_axis import datum
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
 from machine_tool_calibration.methods.rotary_axis.start import (
     SURVEYED,
@@ -151,7 +141,7 @@ class RotaryAxisModel(MethodModel):
     @property
     def declared(self) -> frozenset[str]:
         """Error motions at angles whose readings do not sense them."""
-        return unseen_names(self.unsensed, self._labels(), self.observations.session.sigma)
+        return datum.unseen_names(self.unsensed, self._labels(), self.observations.session.sigma)
 
     def _labels(self) -> list[list[str]]:
         return [[parameter.name for parameter in term.parameters] for term in self.terms[:6]]
@@ -214,7 +204,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
             refuse_misplaced(session, {"stations": start.stations, "targets": start.targets})
         if start.misfit < _ROUGH:
             refuse_wrong_rows(session, start)
-    if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
+    if len(np.unique(table.target)) > 2 and datum.covered_angle(table) > _LARGE_TURN:
         return first
     held = _held(first)
     if len(np.unique(table.target)) < 3:
@@ -246,11 +236,11 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
     nominal = np.ravel([entry.position for entry in entries])
     declared = max(entry.position_uncertainty or 0.0 for entry in entries)
     names = [p.name for p in model.own[: model.stations.size]] + [p.name for p in model.terms[6].parameters]
-    priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * declared))
+    priors = datum.weak_places(model, names, nominal, max(datum.HELD_WITHIN, 10 * declared))
     if not priors:
         return model
-    datum = together((model.datum, say("datum.held", n=len(priors))), "; ")
-    return replace(model, priors=model.priors + priors, datum=datum)
+    words = together((model.datum, say("datum.held", n=len(priors))), "; ")
+    return replace(model, priors=model.priors + priors, datum=words)
 
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
@@ -285,17 +275,17 @@ def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisMo
     labels = [[parameter.name for parameter in term.parameters] for term in terms]
     terms.append(Term("targets", tuple(places), columns[6 * k :]))
     size = float(np.sqrt(np.mean(np.sum(nominal**2, axis=1)))) or 1.0
-    unsensed = unsensed_motions(table, g, arm, size)
+    unsensed = datum.unsensed_motions(table, g, arm, size)
     seen = np.isin(np.arange(len(nominal)), table.target)
-    constraints = motion_constraints(table, labels, unsensed, size)
-    constraints += target_constraints(table.direction, [p.name for p in places], nominal, start.targets, seen)
+    constraints = datum.motion_constraints(table, labels, unsensed, size)
+    constraints += datum.target_constraints(table.direction, [p.name for p in places], nominal, start.targets, seen)
     return RotaryAxisModel(
         observations=observations,
         terms=tuple(terms),
         constraints=tuple(constraints),
-        priors=unseen_motions(unsensed, labels, size),
+        priors=datum.unseen_motions(unsensed, labels, size),
         left_out=(),
-        datum=ROTARY_DATUM,
+        datum=datum.ROTARY_DATUM,
         table=table,
         stations=start.stations,
         targets=start.targets,
@@ -371,7 +361,7 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
         "stations": stations + theta[:s].reshape(-1, 3),
         "stations_u": sigma[:s].reshape(-1, 3),
         "axis_average_line": line,
-        "datum": ROTARY_DATUM,
+        "datum": datum.ROTARY_DATUM,
         "iso230_7": _error_motion_values(model, fit),
     }
     lost = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()

@@ -15,14 +15,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
-from machine_tool_calibration.methods.tracking.datum import (
-    MAP_DATUM,
-    MultilaterationPart,
-    NetworkMotion,
-    OwnSight,
-    carried_stations,
-    turned_back,
-)
+from machine_tool_calibration.methods.tracking import datum
 from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
@@ -56,7 +49,7 @@ class TrackingModel(MethodModel):
     point: IntArray  # (n,) which of them each reading belongs to
     stations: Array  # (S, 3) first estimates of the rotation centres, m
     path: Array  # (S,) first estimates of the path at the datum reading (dead path), m
-    sight: OwnSight  # how well each station's own readings place it
+    sight: datum.OwnSight  # how well each station's own readings place it
     carried: BoolArray  # (S,) stations that the network holds
     tables: tuple[MachineTable, ...] | None  # the machine's error motions in the model; None where every target is free
 
@@ -76,9 +69,9 @@ class TrackingModel(MethodModel):
         return self.description.pointing == "tracking"
 
     @cached_property
-    def motion(self) -> NetworkMotion:
+    def motion(self) -> datum.NetworkMotion:
         """Shifts and turns of the whole network."""
-        return NetworkMotion(self.targets[:, : self.dimension])
+        return datum.NetworkMotion(self.targets[:, : self.dimension])
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -126,7 +119,7 @@ class TrackingModel(MethodModel):
         if self.tables is None:
             groups, places = group_points(self.point, readings.setup), (self.targets, self.stations)
             target, station = (place.T[:d].copy() for place in places)
-            return MultilaterationPart(
+            return datum.MultilaterationPart(
                 groups, path, self.sigma, target, station, beam, self.dense(), block_index, dense_index
             )
         nominal = (self.targets[self.point] - self.stations[readings.setup])[:, :d].T
@@ -160,8 +153,8 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     candidates = rigid_body.linear_axis_errors(free.description.machine.kinematics, nodes)
     tables, terms, left_out = rigid_body.machine_terms(free.observations, candidates)
     constraints = rigid_body.table_datum(tables, [rigid_body.read_nodes(term.columns) for term in terms])
-    datum = say("datum.and_map", own=RIGID_BODY_DATUM, map=MAP_DATUM)
-    return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=datum, tables=tables)
+    both = say("datum.and_map", own=RIGID_BODY_DATUM, map=datum.MAP_DATUM)
+    return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=both, tables=tables)
 
 
 def _free(session: Session) -> TrackingModel:
@@ -199,13 +192,13 @@ def _free(session: Session) -> TrackingModel:
         constraints=(),
         priors=(),
         left_out=(),
-        datum=MAP_DATUM,
+        datum=datum.MAP_DATUM,
         targets=targets,
         point=point,
         stations=stations,
         path=path,
-        sight=OwnSight(direction[:, :d], readings.setup, len(stations)),
-        carried=carried_stations(point, readings.setup, len(targets), len(stations), d),
+        sight=datum.OwnSight(direction[:, :d], readings.setup, len(stations)),
+        carried=datum.carried_stations(point, readings.setup, len(targets), len(stations), d),
         tables=None,
     )
     return replace(free, priors=tuple(_known_places(free)))
@@ -270,7 +263,7 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     if model.follows and good.any():
         places = np.vstack([where.T[~good], at])
         error = np.full_like(error, np.nan)
-        turned, others = turned_back(nominal.T[good], where.T[good], places)
+        turned, others = datum.turned_back(nominal.T[good], where.T[good], places)
         error[good] = turned - nominal.T[good]
         unknown = theta[own].reshape(-1, d + 1).copy()
         unknown[:, :d] = others[-len(at) :] - stations
@@ -351,7 +344,7 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
         "stations_u": in_space(own_u[:, :d]),
         "dead_path": model.path + own[:, d],
         "dead_path_u": own_u[:, d],
-        "datum": MAP_DATUM,
+        "datum": datum.MAP_DATUM,
     }
     places = {k: ", ".join(f"{1e3 * v:.6g}" for v in model.targets[k]) for k in network.why}
     lost = tuple(NotDetermined(f"target ({places[k]}) mm", why) for k, why in network.why.items())
