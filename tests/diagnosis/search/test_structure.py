@@ -29,6 +29,8 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
+from ... import plates
+
 TIME = np.sort(np.random.default_rng(2).uniform(50.0, 1050.0, 200))
 ONE_RUN = np.zeros(200, np.int64)
 LENGTH = float(np.ptp(TIME))
@@ -145,6 +147,18 @@ def test_a_part_that_was_bumped_is_a_shift_along_the_axes() -> None:
     found = diagnose(with_change(silent, silent.sigma * shift * (order > moment)))
     assert (found.verdict, found.accepted) == ("unexplained", ())
     assert found.left[0].shape.startswith("a shift along the axes at ")
+
+
+def test_setups_that_read_one_place_have_no_slopes() -> None:
+    """Three targets of one pose that is approached from anywhere."""
+    rng = np.random.default_rng(3)
+    columns = {key: np.full(90, 0.1) for key in "xyz"}
+    columns |= dict(zip(("gx", "gy", "gz"), np.tile(np.eye(3), 30), strict=True))
+    columns["displacement"] = np.repeat(rng.normal(scale=1e-4, size=(10, 3)), 3, axis=0).ravel()
+    setup = np.tile(np.repeat(np.arange(3), 3), 10)
+    repeat = np.repeat(np.arange(10), 9)
+    found = diagnose(plates.session(columns, 7e-6, "none", (), repeat, *"ABC", setup=setup))
+    assert found.accepted == ()
 
 
 def test_a_zone_that_is_displaced_is_none_of_the_axes() -> None:

@@ -114,6 +114,26 @@ def test_nodes_are_the_positions_or_some_of_them() -> None:
 ALL = ("EXX", "EYX", "EXY", "EYY", "C0Y")
 
 
+def test_few_scattered_places_have_coarse_tables_of_three_axes(direct: SimpleNamespace) -> None:
+    """Nine tables of 21 nodes have more unknowns than 49 places have readings."""
+    rng = np.random.default_rng(6)
+    position = np.repeat(rng.uniform(0.0, 1.0, (49, 3)), 3, axis=0)
+    direction = np.tile(np.eye(3), (49, 1))
+    bends = rng.normal(scale=1e-4, size=(3, 3))  # of each axis, along x, y and z
+
+    def errors(at: np.ndarray) -> np.ndarray:
+        return np.sin(3.0 * at) @ bends
+
+    read = np.einsum("nj,nj->n", errors(position), direction) + rng.normal(scale=5e-6, size=147)
+    terms = [f"E{along}{axis}" for along in "XYZ" for axis in "XYZ"]
+    session = direct.written(position, direction, read, datum="rigid", terms=terms, sigma=5e-6)
+    found = identify(session)
+    assert {len(table["value"]) for table in found.error_map.content["tables"].values()} <= {7, 8}
+    at = found.error_map.points
+    left = direct.fitted_out(found.error_map.error - errors(at), direct.rigid_motions(at))
+    assert np.sqrt(np.mean(left**2)) < 5e-6
+
+
 def _scattered_plate(direct: SimpleNamespace, seed: int, holes: int, spread: float) -> object:
     """Holes at random places, x and y of each measured on a coordinate measuring machine."""
     rng = np.random.default_rng(seed)

@@ -191,8 +191,9 @@ def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, A
     if not spec_of(observations.session).reads_machine or not 2 <= len(own) <= _MOST_SETUPS:
         return
     directions = [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
-    slopes = [u * d for u in _positions(observations).values() for d in directions]
-    yield named("column", "setup"), say("shape.slopes"), np.concatenate([own * slope for slope in slopes])
+    slopes = [own * u * d for u in _positions(observations).values() for d in directions]
+    if slopes:  # none where all was read in one place
+        yield named("column", "setup"), say("shape.slopes"), np.concatenate(slopes)
 
 
 def _zones(observations: Observations, explained: _Explained) -> Iterator[Candidate]:

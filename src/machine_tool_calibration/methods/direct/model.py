@@ -103,19 +103,19 @@ def point_datum(points: tuple[PointErrors, ...], observed: Observations, setup: 
 
 
 # Nodes of a table where the axis was read at more positions than it has readings to fill.
-_NODES_OF_MANY = 21
+_NODES_OF_MANY, _NODES_OF_FEW = 21, 5
 _MOST_NODES = 101
 
 
-def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
+def nodes_from(positions: Array, unknowns_per_node: int = 1, many: int = _NODES_OF_MANY) -> Array:
     """Nodes of a table from the positions (n,) at which an axis was read that has so many tables, m.
 
-    The positions themselves where each is read at least twice per unknown; otherwise a smaller number of them,
-    spread evenly, so that every node is at a reading.
+    The positions themselves where each is read at least twice per unknown, or there are few; otherwise as many of
+    them as `many`, spread evenly, so that every node is at a reading.
     """
     nodes = distinct_nodes(positions)
     most = _MOST_NODES if len(positions) >= 2 * len(nodes) * unknowns_per_node else _NODES_OF_MANY
-    return nodes if len(nodes) <= most else rigid_body.thinned(nodes, _NODES_OF_MANY)
+    return nodes if len(nodes) <= most else rigid_body.thinned(nodes, many)
 
 
 def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
@@ -126,14 +126,17 @@ def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[M
         for axis in SQUARENESS.get(name) or parse_motion(name).axis:
             if axis not in chain.linear:
                 raise ModelError(f"terms names {name!r}, but the chain has no linear axis {axis}")
+    axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
+    many = _NODES_OF_MANY
+    if len(set(axes)) > 1:  # scattered places tie tables of several axes together: two readings for an unknown
+        many = int(np.clip(len(position) // (2 * len(axes)), _NODES_OF_FEW, _NODES_OF_MANY))
     tables = []
     for name in terms:
         if name in SQUARENESS:
             tables.append(MachineTable(chain, name))
             continue
         axis = parse_motion(name).axis
-        same = sum(other not in SQUARENESS and parse_motion(other).axis == axis for other in terms)
-        tables.append(MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], same)))
+        tables.append(MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], axes.count(axis), many)))
     return tuple(tables)
 
 
