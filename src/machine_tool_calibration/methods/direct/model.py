@@ -128,8 +128,8 @@ def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[M
                 raise ModelError(f"terms names {name!r}, but the chain has no linear axis {axis}")
     axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
     many = _NODES_OF_MANY
-    if len(set(axes)) > 1:  # scattered places tie tables of several axes together: two readings for an unknown
-        many = int(np.clip(len(position) // (2 * len(axes)), _NODES_OF_FEW, _NODES_OF_MANY))
+    if len(axes) * many >= len(position):  # too many for scattered places that were read once: two readings for a node
+        many = max(_NODES_OF_FEW, len(position) // (2 * len(axes)))
     tables = []
     for name in terms:
         if name in SQUARENESS:
