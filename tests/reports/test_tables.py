@@ -13,10 +13,14 @@ import pytest
 from rich.console import Console
 
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.reports.comparison import comparison_tables, mark_not_determined
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus
 from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+from .. import plates
 
 HEADS = ("model", "from", "made (UTC)", "variant", "effects", "change", "readings", "residual", "chi²/ν", "map moves")
 ROW = ("→ 2", "1", "2026-11-21 14:48", "small_angles", *["thermal_expansion_x"] * 2, "744", "0.089", "1.00", "0.745")
@@ -122,6 +126,14 @@ def test_no_exponents_no_minus_zero_and_no_rows_of_dashes(plan: str) -> None:
             assert len(row) == len(each.columns)
             assert sum(cell == NOT_DETERMINED for cell in row) <= 2
             assert not any("e+" in cell or cell.startswith("-0.00 ") for cell in row)
+
+
+def test_a_map_of_which_nothing_is_determined_is_no_table() -> None:
+    """Deviations of an axis without terms: their scatter is all that is asked for."""
+    where = np.linspace(0.0, 0.3, 5)
+    columns = {"x": where, "y": 0.0 * where, "z": 0.0 * where, "gx": 0.0 * where, "gy": 0.0 * where}
+    columns |= {"gz": 0.0 * where + 1.0, "displacement": 1e-6 * np.array([1.0, -1.0, 0.0, 2.0, -2.0])}
+    assert not list(value_tables(identify(plates.session(columns, 1e-6))))
 
 
 def test_what_a_setup_does_not_determine_is_said_once() -> None:

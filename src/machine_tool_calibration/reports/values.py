@@ -164,8 +164,9 @@ def value_tables(result: Result | JointResult, most: int | None = None) -> Itera
     for axis, own in curves.groupby(curves["motion"].str[2], sort=False):
         yield _over_axis(str(axis), own, most)
     places = error_map(result)
-    if curves.empty or "approach" in places:
-        yield _map(places, most)
+    determined = [axis for axis in "xyz" if places[f"determined_{axis}"].any()]
+    if determined and (curves.empty or "approach" in places):
+        yield _map(places, determined, most)
     part = workpiece(result).reset_index()
     if len(part):
         rows = [
@@ -195,10 +196,9 @@ def _over_axis(axis: str, table: pd.DataFrame, most: int | None) -> TextTable:
     return _titled(say("result.motions_of", axis=axis), columns, rows, most)
 
 
-def _map(table: pd.DataFrame, most: int | None) -> TextTable:
-    """Position errors, one place a row, with the direction of approach where they depend on it."""
+def _map(table: pd.DataFrame, seen: Sequence[str], most: int | None) -> TextTable:
+    """Position errors along the axes seen, one place a row, with the direction of approach where they depend on it."""
     own = [name for name in ("axis", "target", "approach") if name in table]
-    seen = [axis for axis in "xyz" if table[f"determined_{axis}"].any()] or ["x"]
     rows = [
         (
             *(_mm(row[axis]) for axis in "xyz"),
