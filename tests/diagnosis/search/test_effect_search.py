@@ -130,6 +130,15 @@ def test_look_alikes_make_a_group_and_of_those_as_likely_the_commoner_is_accepte
     assert radial == pytest.approx(form, rel=0.4)
 
 
+def test_a_finer_point_of_another_effect_is_seldom_and_what_is_no_effect_is_not() -> None:
+    fit = fit_models([build_model(session(None))[0]])
+    found, _ = effect_candidates(Pool(fit), find_effects(["backlash_y", "thermal_lag_y", "reversal_ECY"]))
+    assert {one.name: one.is_seldom for one in found} == {
+        "backlash_y": False, "thermal_lag_y": True, "reversal_ECY": True,
+    }  # fmt: skip
+    assert not replace(found[1], effect=None).is_seldom
+
+
 def test_a_size_that_is_seldom_stands_for_no_look_alike_that_is_as_likely() -> None:
     """A drift of the reading, or a dead path of metres in air that warms up steadily."""
     drift = FlawSpec(id="linear_drift", amplitude=4e-7)
