@@ -66,6 +66,18 @@ def test_every_key_of_a_document_is_named(verb: str, capsys: pytest.CaptureFixtu
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+def test_the_readme_shows_what_diagnose_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (simulate,) = re.findall(r"^mtcal (simulate .*--effect.*)$", README, re.MULTILINE)
+    assert run(shlex.split(simulate)) == 0
+    capsys.readouterr()
+    assert run(["diagnose", "session"]) == 0
+    (shown,) = re.findall(r"```text\n(The model lacks.*?)```", README, re.DOTALL)
+    assert capsys.readouterr().out.split() == shown.split()
+
+
 def test_every_command_of_the_readme_exists_and_the_other_way_round() -> None:
     named = set(re.findall(r"^\| `mtcal ([a-z-]+)", README, re.MULTILINE))
     used = set(re.findall(r"mtcal ([a-z][a-z-]*)", README))
