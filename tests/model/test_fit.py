@@ -16,7 +16,14 @@ from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import absorbed_by, changed, declared, drawn, fit_models, screen
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.model.result import ErrorMap, Estimate, effect_signal, map_change, map_rms
+from machine_tool_calibration.model.result import (
+    ErrorMap,
+    Estimate,
+    effect_signal,
+    lacks_reversal,
+    map_change,
+    map_rms,
+)
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
 
@@ -137,3 +144,8 @@ def test_the_span_of_an_axis_is_its_travel_where_readings_fill_it(
     description = session.description.model_copy(update={"machine": machine, "trust_units": True})
     observations = build_model(replace(session, description=description))[0].observations
     assert observations.span("x") == pytest.approx(span)
+
+
+@pytest.mark.parametrize(("own", "lacks"), [(None, False), (1.0e-6, True), (1.9e-6, False)])
+def test_a_reversal_is_lacking_where_one_direction_scatters_less(own: float | None, lacks: bool) -> None:
+    assert lacks_reversal({"scatter": {"found": 2e-6, "one_direction": own}}) is lacks
