@@ -16,9 +16,17 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.budget import published
 from machine_tool_calibration.budget.propagate import Budget, Progress, coverage_factor, draw_readings
-from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, Quantity, everything, figure_of
+from machine_tool_calibration.budget.published import (
+    DIAGONAL_FIGURES,
+    FIGURES,
+    POSITION_ERROR,
+    Quantity,
+    everything,
+    figure_of,
+    numbers,
+    unit_of,
+)
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.build import suspicious_fits
@@ -99,7 +107,7 @@ class _Figure:
 
 def unit_of_figure(name: str) -> str:
     """Unit of a figure by its name: rad for an angular error motion and a squareness, else m."""
-    return "m" if name == VOLUMETRIC else published.unit_of(name)
+    return "m" if name == VOLUMETRIC else unit_of(name)
 
 
 def decide(value: float, tolerance: float, probability: float, rule: str, level: float) -> str:
@@ -183,7 +191,7 @@ class _Conformity:
         """What a tolerance of that name is for; nothing where this measurement does not publish it."""
         known = self.numbers.by_name
         if name == VOLUMETRIC:
-            return [self.volumetric(known[published.POSITION_ERROR])] if published.POSITION_ERROR in known else []
+            return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []
         if name in SQUARENESS:
             return [self.of(known[name], None, signed=True)] if name in known else []
         if name in ERROR_MOTIONS:
@@ -305,7 +313,7 @@ class _Conformity:
         out = np.zeros((_SAMPLES, len(self.numbers.value)))
         for k, joint in enumerate(drawn(self.fitted.joint, rng, _SAMPLES)):
             self.progress("drawing", k / _SAMPLES)
-            out[k, :mapped] = published.numbers(self.fitted, joint).value - self.numbers.value[:mapped]
+            out[k, :mapped] = numbers(self.fitted, joint).value - self.numbers.value[:mapped]
         return out
 
     def why(self, name: str) -> str:

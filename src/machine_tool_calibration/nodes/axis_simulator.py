@@ -16,8 +16,18 @@ from trajectory_msgs.msg import JointTrajectory
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.commanded import executed_message
 from machine_tool_calibration.nodes.descriptions import declare_site
-from machine_tool_calibration.nodes.ros import messages
-from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, from_message, nanoseconds, now, seconds
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    STATE,
+    Level,
+    StatusTopic,
+    from_message,
+    joint_state,
+    nanoseconds,
+    now,
+    seconds,
+    to_message,
+)
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_of
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
@@ -56,19 +66,19 @@ class AxisSimulator(ManagedNode):
         self._moment = self.site.moment(0.0, home)
         self._random = np.random.default_rng([self.site.spec.seed, 23])
 
-        self._states = self.create_publisher(JointState, "joint_states", messages.STATE)
+        self._states = self.create_publisher(JointState, "joint_states", STATE)
         self._status = StatusTopic(
             self,
             "axes",
-            publisher=self.create_publisher(DiagnosticArray, "axes/status", messages.STATE),
+            publisher=self.create_publisher(DiagnosticArray, "axes/status", STATE),
             hardware_id=f"simulated machine {self.site.chain}",
             clock=self._now,
         )
-        self._executed = self.create_publisher(JointTrajectory, "axes/executed", messages.STATE)
-        self._truth = self.create_publisher(PoseStamped, "truth/functional_point", messages.STATE)
-        self._table = self.create_publisher(PoseStamped, "truth/table", messages.STATE)
+        self._executed = self.create_publisher(JointTrajectory, "axes/executed", STATE)
+        self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
+        self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
-        self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, messages.COMMAND)
+        self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, COMMAND)
         self.every(_HEARTBEAT, self._heartbeat)
         if not self._jumping:
             self.every(1.0 / self._rate, self._tick)
@@ -180,7 +190,7 @@ class AxisSimulator(ManagedNode):
 
     def _publish_clock(self) -> None:
         if self._ticks is not None:
-            self._ticks.publish(ClockMessage(clock=messages.to_message(self._simulated_now)))
+            self._ticks.publish(ClockMessage(clock=to_message(self._simulated_now)))
 
     def _publish_truth(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
@@ -208,7 +218,7 @@ class AxisSimulator(ManagedNode):
         since = seconds(stamp - self._start)
         position = self._motion.position(since)
         here = {name: position[name] for name in self._names}
-        self._states.publish(messages.joint_state(stamp, here, self._motion.velocity(since)))
+        self._states.publish(joint_state(stamp, here, self._motion.velocity(since)))
 
     def _set_report(self, level: Level, text: str, **entries: object) -> None:
         self._report = (level, text, entries)

@@ -20,8 +20,14 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros import messages
-from machine_tool_calibration.nodes.ros.messages import from_message
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    duration_message,
+    from_message,
+    joint_state,
+    positions,
+    trajectory,
+)
 from machine_tool_calibration.procedure.events import Aim
 
 SETUP = "setup_index"
@@ -32,7 +38,7 @@ INPUT = "input_"
 
 def setup_named(message: JointState, ids: Sequence[str]) -> str:
     """Id of the setup that a message's values belong to; empty where it names none of these."""
-    return _id(messages.positions(message).get(SETUP), ids)
+    return _id(positions(message).get(SETUP), ids)
 
 
 def _id(index: float | None, ids: Sequence[str]) -> str:
@@ -55,20 +61,20 @@ class PointerCommand:
 def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
     """The message of topic `pointer/target`."""
     values = {**dict(zip("xyz", map(float, aim.point), strict=True)), SETUP: float(ids.index(aim.setup))}
-    return messages.joint_state(aim.stamp, values)
+    return joint_state(aim.stamp, values)
 
 
 def hear_targets(node: Node, heard: Callable[[PointerCommand], None]) -> None:
     """Subscribe to commands, the topic `pointer/target`."""
 
     def target(message: JointState) -> None:
-        values = messages.positions(message)
+        values = positions(message)
         if not {"x", "y", "z", SETUP} <= set(values):
             raise CalibrationError(f"it lacks x, y, z or {SETUP}")
         point = np.array([values[axis] for axis in "xyz"])
         heard(PointerCommand(from_message(message.header.stamp), point, values[SETUP]))
 
-    node.create_subscription(JointState, "pointer/target", target, messages.COMMAND)
+    node.create_subscription(JointState, "pointer/target", target, COMMAND)
 
 
 _MOST_UNPAIRED = 100  # of one way; the oldest goes first
@@ -138,8 +144,8 @@ class Executions:
 
 def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
     """The message of `axes/executed`: when, ns, and where a command began, and each of its points that was reached."""
-    message = messages.trajectory(command, ((place, 0.0) for _, place in points))
+    message = trajectory(command, ((place, 0.0) for _, place in points))
     # To the nanosecond, which seconds as a number do not keep where a command's identity is no time.
     for point, (time, _) in zip(message.points, points, strict=True):
-        point.time_from_start = messages.duration_message(time - command)
+        point.time_from_start = duration_message(time - command)
     return message

@@ -24,8 +24,22 @@ from machine_tool_calibration.instruments.touch import SEARCH, NominalTouch, Par
 from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
-from machine_tool_calibration.nodes.ros import messages
-from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, from_message, nanoseconds, now, seconds
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    LATCHED,
+    STATE,
+    Level,
+    StatusTopic,
+    from_message,
+    joint_state,
+    nanoseconds,
+    now,
+    positions,
+    seconds,
+    stamp_among,
+    trajectory,
+    values,
+)
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.session.description import Probing
@@ -76,15 +90,15 @@ class Probe(ManagedNode):
         self._random = np.random.default_rng([self._site.spec.seed, 43])
 
         # it stands in the instrument's place, whatever its own name is
-        told = self.create_publisher(DiagnosticArray, "instrument/status", messages.LATCHED)
+        told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
         self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
-        self._triggers = self.create_publisher(JointState, "~/trigger", messages.STATE)
-        self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", messages.COMMAND)
+        self._triggers = self.create_publisher(JointState, "~/trigger", STATE)
+        self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._environment = EnvironmentTopics(self, self._sensed)
-        self.create_subscription(String, "session", self._described, messages.LATCHED)
-        self.create_subscription(JointState, "joint_states", self._moved, messages.STATE)
-        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, messages.STATE)
-        self.create_subscription(JointTrajectory, "axes/executed", self._executed, messages.STATE)
+        self.create_subscription(String, "session", self._described, LATCHED)
+        self.create_subscription(JointState, "joint_states", self._moved, STATE)
+        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
+        self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
         self._outcomes = Outcomes(self, "instrument/outcome")
         offer_later(self, "instrument/datum", self._no_datum)
         offer_later(self, "instrument/capture", self._requested)
@@ -115,7 +129,7 @@ class Probe(ManagedNode):
         self._show()
 
     def _moved(self, message: JointState) -> None:
-        self._axes = messages.positions(message)
+        self._axes = positions(message)
         stamp = self._axes_stamp = from_message(message.header.stamp)
         if self._answers:
             self._try_to_begin()
@@ -125,8 +139,8 @@ class Probe(ManagedNode):
         self._show()
 
     def _axes_status(self, message: DiagnosticArray) -> None:
-        entries, cycle = messages.values(message), self._cycle
-        if entries.get("state") == "refused" and cycle and messages.stamp_among(entries, "command") == _stamp(cycle):
+        entries, cycle = values(message), self._cycle
+        if entries.get("state") == "refused" and cycle and stamp_among(entries, "command") == _stamp(cycle):
             self._cycle = None
             self._refuse(f"axes: {message.status[0].message}")
 
@@ -194,7 +208,7 @@ class Probe(ManagedNode):
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
         command = self._floor = max(begin, self._floor + 1) | 1  # odd, as a procedure's are even
         deepest = {**position, **touch.at(turn)}
-        way = messages.trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
+        way = trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
         sent = monotonic()
         self._cycle = _Cycle(touch, position, way, self._epoch, sent, displacement, problem, attempt, begin, moment)
         self._commands.publish(way)
@@ -220,7 +234,7 @@ class Probe(ManagedNode):
             self._touches += 1
             self._last = ""
             latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
-            self._triggers.publish(messages.joint_state(cycle.moment, latched))
+            self._triggers.publish(joint_state(cycle.moment, latched))
         self._show()
         found = {
             "datum": "",

@@ -25,8 +25,24 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.commanded import INPUT, Executions, Pairs, setup_named, target_message
 from machine_tool_calibration.nodes.descriptions import require_readable
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
-from machine_tool_calibration.nodes.ros import messages
-from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, from_message, now
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    LATCHED,
+    OUTCOMES,
+    READINGS,
+    STATE,
+    Level,
+    StatusTopic,
+    dated,
+    from_message,
+    joint_state,
+    now,
+    point,
+    positions,
+    stamp_among,
+    trajectory,
+    values,
+)
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import goal_of, offer
 from machine_tool_calibration.procedure import events, plan, read_procedure
@@ -45,19 +61,19 @@ def event_of(
 
     `sensed` gives the environment by column at a time, ns.
     """
-    status, found = outcome.status[0], messages.values(outcome)
+    status, found = outcome.status[0], values(outcome)
     try:
         if status.level[0]:
             return events.CaptureFailed(token, found.get("kind", "other"), status.message)
-        datum, start = found["datum"], messages.stamp_among(found, "start")
-        inputs = {key.removeprefix(INPUT): messages.stamp_among(found, key) for key in found if key.startswith(INPUT)}
+        datum, start = found["datum"], stamp_among(found, "start")
+        inputs = {key.removeprefix(INPUT): stamp_among(found, key) for key in found if key.startswith(INPUT)}
         if status.name == "datum":
             return events.DatumSet(token, datum, start, inputs)
         columns = {key: float(text) for key, text in found.items() if key not in (*_OWN, *map(INPUT.__add__, inputs))}
         displacement = float(found["displacement"])
         if any(map(math.isinf, (displacement, *columns.values()))):
             raise ValueError("a number without end")
-        stamp, end = from_message(outcome.header.stamp), messages.stamp_among(found, "end")
+        stamp, end = from_message(outcome.header.stamp), stamp_among(found, "end")
         return events.Captured(token, stamp, start, end, displacement, datum, {**sensed(stamp), **columns}, inputs)
     except (ValueError, KeyError, CalibrationError) as error:
         reason = f"not an outcome of an instrument: {status.message[:80]!r} ({type(error).__name__}: {error})"
@@ -119,22 +135,22 @@ class ProcedureNode(ManagedNode):
         self._seen: set[str] = set()
         self._answers = Pairs()
 
-        self._session = self.create_publisher(String, "session", messages.LATCHED)
-        self._readings = self.create_publisher(JointState, "reading", messages.READINGS)
+        self._session = self.create_publisher(String, "session", LATCHED)
+        self._readings = self.create_publisher(JointState, "reading", READINGS)
         self._status = StatusTopic(self, "procedure")
         # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
         # its first answers.
         self._datum = self.create_client(Trigger, "instrument/datum")
         self._capture = self.create_client(Trigger, "instrument/capture")
-        self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", messages.COMMAND)
-        self._pointer = self.create_publisher(JointState, "pointer/target", messages.COMMAND)
-        self._point = self.create_publisher(PointStamped, "pointer/command", messages.COMMAND)
-        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, messages.STATE)
-        self.create_subscription(JointTrajectory, "axes/executed", self._executed, messages.STATE)
-        self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, messages.STATE)
-        self.create_subscription(JointState, "pointer/state", self._pointer_state, messages.STATE)
-        self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, messages.LATCHED)
-        self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, messages.OUTCOMES)
+        self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
+        self._pointer = self.create_publisher(JointState, "pointer/target", COMMAND)
+        self._point = self.create_publisher(PointStamped, "pointer/command", COMMAND)
+        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
+        self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
+        self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
+        self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
+        self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
+        self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, OUTCOMES)
         for name, handler in (
             ("start", self._start),
             ("pause", self._pause),
@@ -200,7 +216,7 @@ class ProcedureNode(ManagedNode):
             return "it starts with the first /clock"
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
-            self._readings = self.create_publisher(JointState, "reading", messages.READINGS)
+            self._readings = self.create_publisher(JointState, "reading", READINGS)
             self._publish_session()
         if self._arrival_source == "executed" and self._joints is not None:
             # where the axes stand before the first move is all that is needed of it
@@ -246,9 +262,9 @@ class ProcedureNode(ManagedNode):
 
     def _axes_status(self, message: DiagnosticArray) -> None:
         """Why the axes refuse a command; what becomes of one that they carry out is told by `axes/executed`."""
-        entries = messages.values(message)
+        entries = values(message)
         if entries.get("state") == "refused":
-            self._hear(events.Refused(messages.stamp_among(entries, "command"), message.status[0].message))
+            self._hear(events.Refused(stamp_among(entries, "command"), message.status[0].message))
 
     def _executed(self, message: JointTrajectory) -> None:
         executed, motion = self._executions.take(message), self._motion
@@ -264,7 +280,7 @@ class ProcedureNode(ManagedNode):
                 self._hear(events.Arrived(motion.stamp, arrived, executed.reached[-1], executed.epoch))
 
     def _joint_states(self, message: JointState) -> None:
-        self._here = messages.positions(message)
+        self._here = positions(message)
         motion = self._motion
         if self._arrival_source != "joint_states" or motion is None:
             return
@@ -281,7 +297,7 @@ class ProcedureNode(ManagedNode):
             self._hear(events.MovedAway(stamp))
 
     def _pointer_state(self, message: JointState) -> None:
-        angles = messages.positions(message)
+        angles = positions(message)
         if "azimuth" not in angles:
             raise CalibrationError("it has no azimuth")
         self._seen.add("pointer")
@@ -290,7 +306,7 @@ class ProcedureNode(ManagedNode):
         self._hear(events.Aimed(setup, angles["azimuth"], angles.get("elevation", 0.0), stamp))
 
     def _instrument_status(self, message: DiagnosticArray) -> None:
-        if messages.values(message).get("state") == "no signal":
+        if values(message).get("state") == "no signal":
             self._seen.discard("instrument")
         else:
             self._seen.add("instrument")
@@ -334,18 +350,18 @@ class ProcedureNode(ManagedNode):
             match action:
                 case events.Motion():
                     self._motion = action
-                    self._axes.publish(messages.trajectory(action.stamp, action.points))
+                    self._axes.publish(trajectory(action.stamp, action.points))
                 case events.Stop():
-                    self._axes.publish(messages.trajectory(action.stamp, ()))
+                    self._axes.publish(trajectory(action.stamp, ()))
                 case events.Aim():
                     self._pointer.publish(target_message(action, self._setups))
-                    self._point.publish(messages.dated(PointStamped(point=messages.point(action.point)), action.stamp))
+                    self._point.publish(dated(PointStamped(point=point(action.point)), action.stamp))
                 case events.SetDatum():
                     self._call(self._datum, action.token)
                 case events.Capture():
                     self._call(self._capture, action.token)
                 case events.Emit():
-                    self._readings.publish(messages.joint_state(action.stamp, action.columns))
+                    self._readings.publish(joint_state(action.stamp, action.columns))
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 

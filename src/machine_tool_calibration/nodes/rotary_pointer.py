@@ -18,8 +18,16 @@ from std_msgs.msg import String
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.descriptions import declare_site, description_of
-from machine_tool_calibration.nodes.ros import messages
-from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic, nanoseconds, now, seconds
+from machine_tool_calibration.nodes.ros.messages import (
+    LATCHED,
+    STATE,
+    Level,
+    StatusTopic,
+    joint_state,
+    nanoseconds,
+    now,
+    seconds,
+)
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
@@ -59,11 +67,11 @@ class RotaryPointer(ManagedNode):
         rest = dict.fromkeys(_ANGLES, 0.0)
         self._motion = Move(rest, rest, 0.0, 0.0)
 
-        self._states = self.create_publisher(JointState, "pointer/state", messages.STATE)
-        own = self.create_publisher(DiagnosticArray, "pointer/status", messages.LATCHED)
+        self._states = self.create_publisher(JointState, "pointer/state", STATE)
+        own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
         self._status = StatusTopic(self, "pointer", publisher=own, hardware_id="simulated pointer")
-        self._truth = self.create_publisher(PoseStamped, "truth/beam", messages.STATE)
-        self.create_subscription(String, "session", self._described, messages.LATCHED)
+        self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
+        self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
         self.every(_HEARTBEAT if self._simulated else 1.0 / self._rate, self._tick)
 
@@ -128,7 +136,7 @@ class RotaryPointer(ManagedNode):
         self._truth.publish(pose_message(stamp, beam.origin, quaternion_along(beam.direction)))
         if self._setup:
             values[SETUP], rate = float(list(self._stations()).index(self._setup)), {**rate, SETUP: 0.0}
-        self._states.publish(messages.joint_state(stamp, values, rate))
+        self._states.publish(joint_state(stamp, values, rate))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""

@@ -12,9 +12,15 @@ from machine_tool_calibration.diagnosis.compare import Comparison, JointComparis
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.build import error_map, suspicious_fits
 from machine_tool_calibration.model.result import only_if_right
-from machine_tool_calibration.reports import quantities
 from machine_tool_calibration.reports.goodness import fit_words, scatter_words
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, probability, quantity, rounded
+from machine_tool_calibration.reports.quantities import (
+    NOT_DETERMINED,
+    micrometres,
+    plus_minus,
+    probability,
+    quantity,
+    rounded,
+)
 from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.session.catalogue import spec_of
@@ -157,7 +163,7 @@ def mark_not_determined(
 
 def _uncertain(name: str, factor: float = _MICRO) -> Callable[[_Row], str]:
     """A column with its expanded uncertainty."""
-    return lambda row: quantities.plus_minus(row[name], row[f"{name}_u"], factor)
+    return lambda row: plus_minus(row[name], row[f"{name}_u"], factor)
 
 
 def _displacement(row: _Row) -> str:

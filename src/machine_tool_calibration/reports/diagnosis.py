@@ -12,10 +12,17 @@ from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
 from machine_tool_calibration.planning.what_to_measure import Advice, Conclusions, alias_groups_of
-from machine_tool_calibration.reports import quantities
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.planning import dominant_words
-from machine_tool_calibration.reports.quantities import duration, micrometres, probability, quantity
+from machine_tool_calibration.reports.quantities import (
+    MOST_NAMED,
+    duration,
+    micrometres,
+    probability,
+    quantity,
+    range_of,
+    sizes_in_words,
+)
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
@@ -180,7 +187,7 @@ def _marked(diagnosis: Diagnosis, finding: Finding) -> str:
 def _sizes(finding: Finding, changes: Mapping[str, Consequence]) -> str:
     """Of a full fit where there is one, otherwise those of the screening."""
     change = changes.get(finding.name)
-    return quantities.sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
+    return sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
 
 
 def _held_out(diagnosis: Diagnosis, name: str) -> str:
@@ -259,13 +266,13 @@ def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, 
     text: str
     if not seen:
         text = say("found.none_occurs")
-    elif len(sizes) <= quantities.MOST_NAMED:
+    elif len(sizes) <= MOST_NAMED:
         text = ", ".join(f"{name}: {quantity(value, known[name].unit)}" for name, value in seen.items())
     else:
-        ends = quantities.range_of(min(seen.values()), max(seen.values()), first.unit)
+        ends = range_of(min(seen.values()), max(seen.values()), first.unit)
         many = len(sizes) if len(seen) == len(sizes) else say("text.of", n=len(seen), count=len(sizes))
         text = say("text.coefficients", n=many, one=ends)
-    return text, quantities.range_of(first.low, first.high, first.unit)
+    return text, range_of(first.low, first.high, first.unit)
 
 
 def _excluded(diagnosis: Diagnosis) -> TextTable:

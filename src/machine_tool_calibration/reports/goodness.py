@@ -6,10 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.model import result
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
-from machine_tool_calibration.model.result import effect_estimates, fits, lacks_reversal, one_direction
+from machine_tool_calibration.model.result import (
+    effect_estimates,
+    fits,
+    lacks_reversal,
+    one_direction,
+    only_if_right,
+    scatter_p_value,
+)
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.catalogue import method_spec
@@ -30,7 +36,7 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
         return None
-    how, used = fits(result.scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
+    how, used = fits(scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
     both, ratio = _both(scatter["found"], scatter["declared"]), rounded(scatter["found"] / scatter["declared"])
     if (own := one_direction(content)) is not None:
         key = {"bad": "_bad", "nearly": "_nearly"}.get(how, "")
@@ -61,7 +67,7 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
     if document.get("model") != "rigid_body" or "free" not in method_spec(document["method"]).models:
         return
     points = np.array(content.get("points", ()), dtype=float).reshape(-1, 3)
-    if not len(points) or not result.only_if_right(document["p_value"], content):
+    if not len(points) or not only_if_right(document["p_value"], content):
         return
     if (np.ptp(points, axis=0) > SAME_POSITION).sum() > 1:
         yield say("fit.free")

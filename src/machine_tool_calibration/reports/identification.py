@@ -15,9 +15,18 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result, fits, only_if_right, scatter_p_value
-from machine_tool_calibration.reports import quantities
 from machine_tool_calibration.reports.goodness import fit_words, free_words, negative_words, scatter_words
-from machine_tool_calibration.reports.quantities import as_exact, micrometres, quantity, rounded
+from machine_tool_calibration.reports.quantities import (
+    as_exact,
+    declared_words,
+    expanded_text,
+    micrometres,
+    not_ruled_out,
+    quantity,
+    reproducibility_words,
+    rounded,
+    value_and_uncertainties,
+)
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
@@ -79,7 +88,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             text = _lost(_rms_and_most(as_exact(size, "m", u) for size, u in sizes), error)
         rows.append((say("result.position_error"), text))
         if known:
-            text = _rms_and_most(quantities.expanded_text(u) for u in expanded if u is not None)
+            text = _rms_and_most(expanded_text(u) for u in expanded if u is not None)
             if document.get("uncertainty") != "budget":
                 text = say("result.without", text=text)
             doubtful = only_if_right(document.get("p_value"), error_map)
@@ -195,9 +204,9 @@ def result_parts(
 
 def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
     """What does not reproduce; the most that it may be only where the model fits, as runs share what it lacks."""
-    yield from quantities.reproducibility_words(document["spread"])
+    yield from reproducibility_words(document["spread"])
     if not only_if_right(document["p_value"], document["error_map"]):
-        yield from quantities.not_ruled_out(document["spread"])
+        yield from not_ruled_out(document["spread"])
 
 
 def _namesakes(fit: JointFit) -> set[str]:
@@ -254,7 +263,7 @@ def session_headline(session: Session) -> str:
         setups=say("result.setups", n=len(ids)),
         names=names,
         repeats=say("result.repeats", n=len(np.unique(session.readings.repeat))),
-        declared=quantities.declared_words(session.description.standard_uncertainty),
+        declared=declared_words(session.description.standard_uncertainty),
     )
 
 
@@ -289,7 +298,7 @@ def parameters_table(document: Mapping[str, Any], fit: JointFit, most: int | Non
         unknown = unknowns[name]
         place = unknown.kind in (Kind.PLACE, Kind.DEAD_PATH)
         what = unknown.meaning or unknown_in_words(unknown)
-        texts = quantities.value_and_uncertainties(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
+        texts = value_and_uncertainties(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
         rows.append((name, *texts, "" if what == name else what))
     left = len(single) - len(rows)
     note = say("text.more_with_json", n=left) if left else ""

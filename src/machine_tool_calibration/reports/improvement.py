@@ -5,9 +5,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
-from machine_tool_calibration.reports import quantities
 from machine_tool_calibration.reports.goodness import negative_words
-from machine_tool_calibration.reports.quantities import as_exact, micrometres, probability, quantity, rounded
+from machine_tool_calibration.reports.quantities import (
+    as_exact,
+    micrometres,
+    of_map,
+    probability,
+    quantity,
+    residual_change,
+    rounded,
+    sizes_in_words,
+)
 from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words, table
 from machine_tool_calibration.words import say
 
@@ -73,7 +81,7 @@ def _what_falls(done: Improvement) -> str:
     """The residual; where unknown angles had taken up what is now in the model, the residual volumetric error."""
     first, last = done.steps[0], done.steps[-1]
     declared = quantity(done.diagnosis.noise.declared, "m")
-    residual = quantities.residual_change(first.result.rms_residual, last.result.rms_residual)
+    residual = residual_change(first.result.rms_residual, last.result.rms_residual)
     before, after = (step.residual_volumetric_error(last) for step in (first, last))
     if last.result.rms_residual < first.result.rms_residual or before is None or after is None or after >= before:
         return say("improved.residual", residual=residual, declared=declared)
@@ -98,12 +106,12 @@ def steps_table(done: Improvement) -> TextTable:
         done.steps,
         say("improved.note"),
         model=lambda step: step.label,
-        size_pm=lambda step: quantities.sizes_in_words([p for p in step.parameters if p.owner == step.change], ""),
+        size_pm=lambda step: sizes_in_words([p for p in step.parameters if p.owner == step.change], ""),
         probability=lambda step: probability(chance[step.change]) if step.change in chance else "",
         residual=lambda step: micrometres(step.result.rms_residual),
         chi=lambda step: rounded(step.reduced_chi_square),
         map_moves=lambda step: micrometres(step.map_change),
-        map=lambda step: quantities.of_map(step.map_rms, step.map_uncertainty)[0],
-        U_map=lambda step: quantities.of_map(step.map_rms, step.map_uncertainty)[1],
+        map=lambda step: of_map(step.map_rms, step.map_uncertainty)[0],
+        U_map=lambda step: of_map(step.map_rms, step.map_uncertainty)[1],
         volumetric=lambda step: micrometres(step.residual_volumetric_error(done.steps[-1])),
     )

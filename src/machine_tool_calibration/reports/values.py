@@ -10,8 +10,14 @@ import pandas as pd
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.methods.iso230_2 import counted_positions
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.reports import quantities
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres
+from machine_tool_calibration.reports.quantities import (
+    NOT_DETERMINED,
+    decimals,
+    fixed,
+    micrometres,
+    plus_minus,
+    with_expanded,
+)
 from machine_tool_calibration.reports.result_tables import error_map, error_motions, workpiece
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, shortened
 from machine_tool_calibration.words import say, together
@@ -65,7 +71,7 @@ def _said(value: float | None, expanded: float | None) -> str:
         return NOT_DETERMINED
     if expanded is None or not np.isfinite(expanded) or not expanded:
         return micrometres(value)
-    return " ± ".join(quantities.with_expanded(value, expanded))
+    return " ± ".join(with_expanded(value, expanded))
 
 
 def _cells(entry: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
@@ -104,11 +110,11 @@ def _positions(run: Mapping[str, Any], most: int | None) -> TextTable:
     n = np.array([run["count_up"], run["count_down"]], dtype=float)
     least = 2e6 * s / np.sqrt(np.maximum(n, 1.0))
     known = least[np.isfinite(least) & (least > 0.0)]
-    places = quantities.decimals(float(np.median(known))) if len(known) else 2
+    places = decimals(float(np.median(known))) if len(known) else 2
     up, down = (np.array(run[f"mean_{way}"], dtype=float) for way in ("up", "down"))
     values = [up, down, (up + down) / 2.0, np.array(run["reversal"], dtype=float), *s]
     rows = [
-        (f"{1e3 * at:.6g}", *(quantities.fixed(1e6 * v, places) if np.isfinite(v) else NOT_DETERMINED for v in own))
+        (f"{1e3 * at:.6g}", *(fixed(1e6 * v, places) if np.isfinite(v) else NOT_DETERMINED for v in own))
         for at, *own in zip(run["position"], *values, strict=True)
     ]
     columns = (f"{run['axis']} / mm", *heads("mean_up", "mean_down", "mean", "reversal"), "s ↑", "s ↓")
@@ -218,4 +224,4 @@ def _mm(metres: float) -> str:
 def _known(value: float, u: float) -> str:
     if not np.isfinite(value):
         return NOT_DETERMINED
-    return micrometres(value, signed=True) if u < _DATUM else quantities.plus_minus(value, u, 1e6)
+    return micrometres(value, signed=True) if u < _DATUM else plus_minus(value, u, 1e6)

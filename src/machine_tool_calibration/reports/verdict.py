@@ -12,10 +12,18 @@ from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.result import fits
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
-from machine_tool_calibration.reports import quantities
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import free_words, negative_words, scatter_words
-from machine_tool_calibration.reports.quantities import p_value, probability, quantity, rounded
+from machine_tool_calibration.reports.quantities import (
+    MOST_NAMED,
+    p_value,
+    probability,
+    quantity,
+    reproducibility_words,
+    residual_change,
+    rounded,
+    sizes_in_words,
+)
 from machine_tool_calibration.residuals.places import alike_beside_p
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -54,7 +62,7 @@ def verdict_words(
         yield from _unexplained(diagnosis)
     if diagnosis.gross_errors and diagnosis.verdict != "outliers":
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
-    yield from quantities.reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
+    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
 
 
@@ -204,14 +212,14 @@ def _as_good(diagnosis: Diagnosis, separation: Separation) -> bool:
 
 def _changed(change: Consequence) -> Iterator[Said]:
     """How large an effect is, and what changes with it in the model."""
-    if 0 < len(change.parameters) <= quantities.MOST_NAMED:
-        yield say("diagnosis.size", sizes=quantities.sizes_in_words(change.parameters))
+    if 0 < len(change.parameters) <= MOST_NAMED:
+        yield say("diagnosis.size", sizes=sizes_in_words(change.parameters))
     elif change.parameters:
         yield say("diagnosis.many_sizes", n=len(change.parameters))
     if change.signal is not None:
         most = float(np.abs(change.signal).max(initial=0.0))
         yield say("diagnosis.changes", rms=quantity(rms(change.signal), "m"), most=quantity(most, "m"))
-    residual = quantities.residual_change(change.rms_before, change.rms_after)
+    residual = residual_change(change.rms_before, change.rms_after)
     if change.map_change_rms is None:
         yield say("diagnosis.with_it", residual=residual)
     else:

@@ -8,9 +8,25 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.simulation import flaw, motions
-from machine_tool_calibration.simulation.flaw import CIRCLE, LINEAR, TABLE, Disturbance, Draw, Flaw, Parameters
-from machine_tool_calibration.simulation.motions import COMPONENTS, Table, constant, random_periodic, rotate
+from machine_tool_calibration.simulation.flaw import (
+    CIRCLE,
+    LINEAR,
+    TABLE,
+    Disturbance,
+    Draw,
+    Flaw,
+    Parameters,
+    drawn_phase,
+    drawn_seed,
+)
+from machine_tool_calibration.simulation.motions import (
+    COMPONENTS,
+    Table,
+    constant,
+    random_periodic,
+    random_smooth,
+    rotate,
+)
 from machine_tool_calibration.simulation.scene import Scene
 
 _ABOUT = "; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
@@ -105,7 +121,7 @@ def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tu
         return random_periodic(rng, [size])[0] if shape == "random" else constant(0.0, 2 * np.pi, size)
     low, high = ends.get(axis, (0.0, 1.0))
     if shape == "random":
-        return motions.random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, [size], knots=5)[0]
+        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, [size], knots=5)[0]
     nodes = np.linspace(low, high, 33)
     u = 2.0 * (nodes - low) / (high - low) - 1.0
     shapes = {"constant": np.ones(33), "linear": u, "quadratic": u**2, "sine": np.sin(np.pi * u)}
@@ -136,7 +152,7 @@ def _motion(name: str) -> Flaw:
         2e-5 if angular else 3e-6,
         disturb,
         {"shape": "random", **({"about": "chain"} if yields else {})},
-        flaw.drawn_seed,
+        drawn_seed,
         TABLE if is_table else LINEAR,
         axis if is_table else "",
     )
@@ -153,7 +169,7 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("thermal_expansion", _EXPANDS, 8e-6, _expansion, {**_COLD, "fixed_point": 0.0}, unit="1/K"),
     *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
     *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
-    *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, flaw.drawn_phase),
+    *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
          lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
@@ -187,7 +203,7 @@ REVERSAL_FLAWS: tuple[Flaw, ...] = (
         methods=CIRCLE,
     ),
     *_along("servo_mismatch", "-size * velocity of {a}", 1e-4, _servo_lag, unit="s", methods=CIRCLE),
-    *_along("vibration", _SHAKES, 1e-6, _vibration, {"frequency": 0.37}, flaw.drawn_phase, methods=CIRCLE),
+    *_along("vibration", _SHAKES, 1e-6, _vibration, {"frequency": 0.37}, drawn_phase, methods=CIRCLE),
     *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
 )
 

@@ -6,8 +6,16 @@ from collections.abc import Callable
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.simulation import flaw
-from machine_tool_calibration.simulation.flaw import BEAM, STATIONS, Disturbance, Flaw, Parameters, Sight, reads
+from machine_tool_calibration.simulation.flaw import (
+    BEAM,
+    STATIONS,
+    Disturbance,
+    Flaw,
+    Parameters,
+    Sight,
+    drawn_seed,
+    reads,
+)
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import beam_direction
 
@@ -132,8 +140,8 @@ READING_FLAWS: tuple[Flaw, ...] = (
          methods=BEAM),
     Flaw("dead_path", _AIR, "m", 1.0, lambda size, _, scene: Disturbance(dead=size * _air(scene)), methods=BEAM),
     Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, reads(lambda size, _, scene, sight: size * scene.time)),
-    Flaw("station_drift", _SETTLES, "m/s", 1e-8, _station_drift, {"vertical": 1.0}, flaw.drawn_seed, STATIONS),
-    Flaw("mirror_misalignment", _TILTED, "rad", 1e-3, _mirror, draw=flaw.drawn_seed, methods=("step_diagonal",)),
+    Flaw("station_drift", _SETTLES, "m/s", 1e-8, _station_drift, {"vertical": 1.0}, drawn_seed, STATIONS),
+    Flaw("mirror_misalignment", _TILTED, "rad", 1e-3, _mirror, draw=drawn_seed, methods=("step_diagonal",)),
     Flaw("pointer_radial_error", _RADIAL, "m", 2e-6, reads(_pointer_radial), _FIVE, _phases, STATIONS),
     Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3,
          lambda size, _, scene: Disturbance(turn=np.full(len(scene), size)), methods=("tracking_interferometer",)),

@@ -174,7 +174,7 @@ def test_the_map_is_worked_out_at_its_places_not_at_every_reading(monkeypatch: p
         asked.append(len(position))
         return map_field(tables, position)
 
-    monkeypatch.setattr(direct_model.rigid_body, "map_field", counted)
+    monkeypatch.setattr(direct_model, "map_field", counted)
     plan = PRESETS["iso230_2"].model_copy(update={"repeats": 12})
     fitted = identify(simulate(SimulationSpec(plan=plan, seed=2)).session)
     assert set(asked) == {len(fitted.error_map.points)}

@@ -11,7 +11,7 @@ from scipy.special import logit
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, to_some_percent
-from machine_tool_calibration.diagnosis.search.evidence import Block, alike, gram_of, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
@@ -388,7 +388,7 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
 def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
     tried = found.marginals_with([columns.place[name] for name in accepted])
-    beside = table(alike(columns.gram, columns.blocks), tried, len(columns.candidates)) if accepted else found.single
+    beside = table(found.alike, tried, len(columns.candidates)) if accepted else found.single
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
         log_factor = float(beside.log_factors[k])

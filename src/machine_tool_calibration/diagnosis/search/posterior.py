@@ -45,6 +45,7 @@ class Posterior:
     """Probabilities of sets of candidates."""
 
     blocks: Sequence[Block]  # of all candidates
+    alike: Sequence[Alike]  # the same, prepared for `table`
     log_odds: Array  # (candidates,) logarithm of the prior odds
     sets: tuple[Members, ...]  # with the members at their best points, the most probable first
     # logarithm of the evidence of each set times its prior odds, in the same order
@@ -234,6 +235,7 @@ def search(
     order = np.argsort(-shares, kind="stable")
     return Posterior(
         blocks=blocks,
+        alike=same,
         log_odds=log_odds,
         sets=tuple(work.found[key][1] for key in ranked),
         log_weights={key: work.found[key][0] for key in ranked},

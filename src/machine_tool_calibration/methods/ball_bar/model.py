@@ -17,12 +17,18 @@ from machine_tool_calibration.estimation.problem import LinearPart, Part, group_
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
-from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, determined_values
-from machine_tool_calibration.model.rigid_body import OPEN_CHANGE, MachineTable, determined_part, map_field
+from machine_tool_calibration.model.rigid_body import (
+    OPEN_CHANGE,
+    MachineTable,
+    determined_part,
+    map_field,
+    position_errors,
+    tables_content,
+)
 from machine_tool_calibration.session.description import BallBar
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say
@@ -155,7 +161,7 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
     points = seen.position[distinct_places(seen.position)[0]]
     field = np.concatenate([map_field(model.tables, points), _mismatch_field(model.scales, points)])
     mine = slice(own, own + len(field))
-    error, covariance = rigid_body.position_errors(field, fit.theta[mine], fit.covariance[mine, mine])
+    error, covariance = position_errors(field, fit.theta[mine], fit.covariance[mine, mine])
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > OPEN_CHANGE
     undetermined |= ~np.isin(np.arange(3), ["XYZ".index(axis) for axis in model.scales])
@@ -165,7 +171,7 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
         "points": points,
         "position_error": error,
         "position_error_u": uncertainty,
-        "tables": rigid_body.tables_content(model.tables, theta[own:], sigma[own:]),
+        "tables": tables_content(model.tables, theta[own:], sigma[own:]),
         "datum": model.datum,
     }
     # These are of the readings themselves: a restated fit changes nothing of them.

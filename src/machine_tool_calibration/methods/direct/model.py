@@ -25,7 +25,6 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_mot
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
-from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
     Constraint,
@@ -38,7 +37,17 @@ from machine_tool_calibration.model.model import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, determined_values
-from machine_tool_calibration.model.rigid_body import OPEN_CHANGE, MachineTable, determined_part, distinct_nodes
+from machine_tool_calibration.model.rigid_body import (
+    OPEN_CHANGE,
+    MachineTable,
+    determined_part,
+    distinct_nodes,
+    map_field,
+    position_errors,
+    table_datum,
+    tables_content,
+    thinned,
+)
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say, together
@@ -115,7 +124,7 @@ def nodes_from(positions: Array, unknowns_per_node: int = 1, many: int = _NODES_
     """
     nodes = distinct_nodes(positions)
     most = _MOST_NODES if len(positions) >= 2 * len(nodes) * unknowns_per_node else _NODES_OF_MANY
-    return nodes if len(nodes) <= most else rigid_body.thinned(nodes, many)
+    return nodes if len(nodes) <= most else thinned(nodes, many)
 
 
 def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
@@ -264,7 +273,7 @@ def _datum(
 ) -> tuple[tuple[Constraint, ...], list[str], Array]:
     """Zeros and slopes of tables, as many as the readings leave open: straightness first, positioning last."""
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
-    candidates = [constraint for table in ordered for constraint in rigid_body.table_datum((table,))]
+    candidates = [constraint for table in ordered for constraint in table_datum((table,))]
     needed, fixed = _needed(candidates, terms, setups, setup, count)
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]
@@ -315,7 +324,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     first = _states(observations.position, np.concatenate([none, *effects]))
     points = observations.position[first]
     # Many readings may be of few places.
-    of_tables = rigid_body.map_field(tables, points) * sensed
+    of_tables = map_field(tables, points) * sensed
     field = np.concatenate([of_tables, *(one[:, first] for one in effects)])
     told = observations.readings.columns
     flat = field.reshape(len(field), 3 * len(points))
@@ -324,7 +333,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     if common.shape[1]:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
-    error, covariance = rigid_body.position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
+    error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     # Where no term and no effect moves any place, nothing was asked of its error.
@@ -335,9 +344,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error_u": uncertainty,
         "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
         **(
-            {}
-            if model.points
-            else {"tables": rigid_body.tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
+            {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
         ),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
         "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,

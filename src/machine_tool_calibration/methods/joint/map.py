@@ -12,11 +12,17 @@ from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
-from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import OPEN_CHANGE, MachineTable, determined_part, map_field
+from machine_tool_calibration.model.rigid_body import (
+    OPEN_CHANGE,
+    MachineTable,
+    determined_part,
+    map_field,
+    position_errors,
+    tables_content,
+)
 from machine_tool_calibration.words import say, together
 
 # Positions equal to the micrometre are one.
@@ -89,9 +95,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
     solution = joint.published
-    content: dict[str, Any] = {
-        "tables": rigid_body.tables_content(common.tables, *(values[index] for values in _values(joint)))
-    }
+    content: dict[str, Any] = {"tables": tables_content(common.tables, *(values[index] for values in _values(joint)))}
     content |= _rotary(joint)
     if angles is not None:
         content |= {"angular_size": angles.size, "angular_probability": angles.probability}
@@ -109,7 +113,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     if open_.shape[1]:
         flat = flat - (open_ @ np.linalg.lstsq(open_[inside], flat.T[inside], rcond=1e-9)[0]).T
     theta, own = solution.theta[index], solution.covariance[np.ix_(index, index)]
-    error, covariance = rigid_body.position_errors(flat.reshape(len(field), n, 3), theta, own)
+    error, covariance = position_errors(flat.reshape(len(field), n, 3), theta, own)
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
         covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])

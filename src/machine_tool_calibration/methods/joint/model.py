@@ -25,11 +25,19 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, interpola
 from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import WAVES_NODES
-from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, assemble, weight_row
 from machine_tool_calibration.model.observations import together
-from machine_tool_calibration.model.rigid_body import MachineTable, axis_nodes, distinct_nodes, machine_terms
+from machine_tool_calibration.model.rigid_body import (
+    MachineTable,
+    axis_nodes,
+    distinct_nodes,
+    linear_axis_errors,
+    machine_terms,
+    read_nodes,
+    table_datum,
+    thinned,
+)
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 from machine_tool_calibration.words import together as told_together
@@ -124,7 +132,7 @@ def _determined_together(models: Sequence[MethodModel], chain: Chain) -> list[st
     nodes: dict[str, list[Array]] = {}
     for table in (table for model in trackers for table in tables_of(model) if not table.is_squareness):
         nodes.setdefault(parse_motion(table.name).axis, []).append(table.nodes)
-    candidates = rigid_body.linear_axis_errors(chain, {axis: _union(own) for axis, own in nodes.items()})
+    candidates = linear_axis_errors(chain, {axis: _union(own) for axis, own in nodes.items()})
     return [table.name for table in machine_terms(together([m.observations for m in trackers]), candidates)[0]]
 
 
@@ -143,7 +151,7 @@ def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
 
 def _union(nodes: Iterable[Array]) -> Array:
     every = distinct_nodes(np.concatenate(list(nodes)))
-    return every if len(every) <= _MOST_NODES else rigid_body.thinned(every, _NODES_OF_MANY)
+    return every if len(every) <= _MOST_NODES else thinned(every, _NODES_OF_MANY)
 
 
 def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodModel:
@@ -212,13 +220,13 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     for model in models:
         for term in model.terms:
             if term.name in read:
-                read[term.name] |= rigid_body.read_nodes(term.columns)
+                read[term.name] |= read_nodes(term.columns)
     for index, model in enumerate(models):
         shared = {p.name for p in model.parameters if p.shared}
         own.append([c for c in model.constraints if not shared & set(c.weights)])
         sensed = {table.name for table in tables_of(model)}
         acting = [table for table in tables if table.name in sensed]
-        datum = rigid_body.table_datum(acting, [read[table.name] for table in acting])
+        datum = table_datum(acting, [read[table.name] for table in acting])
         candidates += [_Condition(index, c) for c in datum]
         candidates += [_Condition(index, c) for c in model.constraints if shared & set(c.weights)]
     motions = {label: table for table in tables for label in table.labels}

@@ -23,8 +23,16 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
-from machine_tool_calibration.methods.probing import datum, geometry
-from machine_tool_calibration.methods.probing.geometry import Touches, nominal_points, plane_tables, touches
+from machine_tool_calibration.methods.probing import datum
+from machine_tool_calibration.methods.probing.geometry import (
+    Touches,
+    nominal_points,
+    plane_tables,
+    point_means,
+    table_lever,
+    table_nodes,
+    touches,
+)
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, Term, motion_value
 from machine_tool_calibration.model.observations import Observations
@@ -111,7 +119,7 @@ def _build(session: Session) -> ProbingModel:
     observations = Observations(
         session, readings, position, -where.normal, where.normal, np.zeros(len(readings)), readings.setup
     )
-    grids = {axis: geometry.table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
+    grids = {axis: table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
     nodes = {axis: extended for axis, (_, extended) in grids.items()}
     tables = plane_tables(description.machine.kinematics, nodes, position)
     terms = [table.term(observations) for table in tables]
@@ -236,7 +244,7 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     """Carry the fit over to the N points; (n,) which one each reading touched."""
     marginal = fit.joint.marginal
     columns = fit.marginal_columns
-    mean, total = geometry.point_means(columns, point, fit.model.sigma**-2, n_points)
+    mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
     touched = total > 0
     values, vectors = np.linalg.eigh(marginal.scatter**2 * fit.marginal_covariance)
     half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -278,7 +286,7 @@ def common_motions(description: Probing, length_known: bool) -> Array:
     """(N, t) shift along x and y and turn of the workpiece, and its uniform growth where no length is known."""
     position, normal = nominal_points(description)
     growth = [] if length_known else [np.einsum("nd,nd->n", position, normal)]
-    return np.column_stack([normal, geometry.table_lever(position, normal), *growth])
+    return np.column_stack([normal, table_lever(position, normal), *growth])
 
 
 def _orthonormal(columns: Array) -> Array:

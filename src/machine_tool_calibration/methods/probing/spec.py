@@ -9,8 +9,14 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, first_true, groups
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.checks import mistakes
-from machine_tool_calibration.session.checks.mistakes import described, exchanged_axes, explanation, in_degrees
+from machine_tool_calibration.session.checks.mistakes import (
+    described,
+    exchanged_axes,
+    explanation,
+    in_degrees,
+    turned_round,
+    with_columns,
+)
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
     counted,
@@ -87,7 +93,7 @@ class ProbingSpec(MethodSpec):
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements of a probing; a SessionError if the column c and the setups' c are different angles."""
         _check_index_angles(session, place)
-        other_way = mistakes.turned_round(
+        other_way = turned_round(
             session, "the workpiece looks as if it turned the other way: check machine.rotation_sign"
         )
         exchanges = itertools.chain(exchanged_axes(session, 2), badly_exchanged(session, _off_workpiece, "setup"))
@@ -162,7 +168,7 @@ def _check_index_angles(session: Session, place: Place) -> None:
     suppositions = (
         in_degrees(session, "the column c looks", "c"),
         described(session, "the setups' c look like degrees; angles are in radians", setups=radians),
-        mistakes.with_columns(session, "the sign is opposite: check rotation_sign", c=-readings.columns["c"]),
+        with_columns(session, "the sign is opposite: check rotation_sign", c=-readings.columns["c"]),
     )
     what = explanation(session, [Judgement(lambda s: float(off(s).max()), suppositions, _SAME_ANGLE, _SAME_ANGLE)])
     near = np.abs(wrapped(c - declared))

@@ -36,7 +36,6 @@ from machine_tool_calibration.methods.step_diagonal import geometry
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.model import error_map as error_map
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, WAVES_NODES
-from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.model import (
     Constraint,
     Kind,
@@ -47,7 +46,13 @@ from machine_tool_calibration.model.model import (
     motion_value,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.rigid_body import MachineTable, axis_nodes, linear_axis_errors, table_datum
+from machine_tool_calibration.model.rigid_body import (
+    MachineTable,
+    axis_nodes,
+    linear_axis_errors,
+    map_field,
+    table_datum,
+)
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
 
@@ -260,7 +265,7 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     end = start + np.array([run.motion for run in model.runs])
 
     def error(at: Array) -> Array:
-        return np.asarray(np.einsum("k,knj->nj", table_theta, rigid_body.map_field(model.tables, at)))
+        return np.asarray(np.einsum("k,knj->nj", table_theta, map_field(model.tables, at)))
 
     at_start = error(start)
     moved = error(model.observations.position) - at_start[setup]

@@ -10,9 +10,14 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.methods.step_diagonal.geometry import halts_of, run_of, runs_of
-from machine_tool_calibration.session.checks import nominal_geometry
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, exchanged_axes, scaled
-from machine_tool_calibration.session.checks.nominal_geometry import badly_exchanged, judged_by_worst
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    judged_by_worst,
+    off_prediction,
+    relative_misfit,
+    typical_extent,
+)
 from machine_tool_calibration.session.checks.units import LARGEST_MACHINE, LARGEST_TRAVEL, MILLIMETRES
 from machine_tool_calibration.session.description import Place, StepDiagonal
 from machine_tool_calibration.session.judgements import Held, Judgement
@@ -122,7 +127,7 @@ class DiagonalSpec(MethodSpec):
         yield Held(
             "displacement",
             "the way along the beam to where it was read",
-            nominal_geometry.off_prediction(session, path, groups(readings.setup, readings.repeat)),
+            off_prediction(session, path, groups(readings.setup, readings.repeat)),
             _ERROR + _SCALE * length + _TILT * across,
         )
 
@@ -134,8 +139,7 @@ def _off_diagonal(session: Session) -> Array:
     path, _, outside = _along_run(session)
     group = groups(session.readings.setup, session.readings.repeat)
     return np.asarray(
-        nominal_geometry.relative_misfit(session, path, group)
-        + np.linalg.norm(outside, axis=1) / nominal_geometry.typical_extent(path, group)
+        relative_misfit(session, path, group) + np.linalg.norm(outside, axis=1) / typical_extent(path, group)
     )
 
 

@@ -16,7 +16,6 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vec
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
 from machine_tool_calibration.methods.tracking import datum
-from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
     Constraint,
@@ -29,7 +28,18 @@ from machine_tool_calibration.model.model import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import RIGID_BODY_DATUM, MachineTable, axis_nodes, in_space
+from machine_tool_calibration.model.rigid_body import (
+    RIGID_BODY_DATUM,
+    MachineTable,
+    axis_nodes,
+    in_space,
+    linear_axis_errors,
+    machine_terms,
+    map_field,
+    position_errors,
+    read_nodes,
+    table_datum,
+)
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session, distinct_places
 from machine_tool_calibration.words import say
@@ -150,9 +160,9 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     if model == "free":
         return replace(free, constraints=_station_datum(free))
     nodes = {axis: axis_nodes(free.targets[:, j]) for j, axis in enumerate("XYZ"[: free.dimension])}
-    candidates = rigid_body.linear_axis_errors(free.description.machine.kinematics, nodes)
-    tables, terms, left_out = rigid_body.machine_terms(free.observations, candidates)
-    constraints = rigid_body.table_datum(tables, [rigid_body.read_nodes(term.columns) for term in terms])
+    candidates = linear_axis_errors(free.description.machine.kinematics, nodes)
+    tables, terms, left_out = machine_terms(free.observations, candidates)
+    constraints = table_datum(tables, [read_nodes(term.columns) for term in terms])
     both = say("datum.and_map", own=RIGID_BODY_DATUM, map=datum.MAP_DATUM)
     return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=both, tables=tables)
 
@@ -290,7 +300,7 @@ def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
 
 def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
     d, n = model.dimension, len(model.targets)
-    field = rigid_body.map_field(tables, model.targets)[:, :, :d]
+    field = map_field(tables, model.targets)[:, :, :d]
     first = len(model.own)
     place = slice(first, first + len(field))
     raw = field.reshape(len(field), -1)
@@ -312,9 +322,7 @@ def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...])
         # What is not determined at some targets must not shift and turn all others.
         fitted, flat = without_common(sure)
     good = told(flat)
-    error, covariance = rigid_body.position_errors(
-        flat.reshape(len(field), n, d), fit.theta[place], fit.covariance[place, place]
-    )
+    error, covariance = position_errors(flat.reshape(len(field), n, d), fit.theta[place], fit.covariance[place, place])
     # The stations move with the common motion that is taken out of the targets.
     change = np.eye(len(fit.theta))[:first]
     change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted

@@ -8,8 +8,18 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, unit_vectors
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.checks import mistakes, nominal_geometry
-from machine_tool_calibration.session.checks.nominal_geometry import badly_exchanged, lines_of_sight, on_a_line
+from machine_tool_calibration.session.checks import mistakes
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    enough_stations,
+    judged_by_worst,
+    lines_of_sight,
+    off_prediction,
+    on_a_line,
+    refuse_one_line,
+    relative_misfit,
+    wrapped,
+)
 from machine_tool_calibration.session.checks.places import allowed
 from machine_tool_calibration.session.description import Place, TrackingInterferometer
 from machine_tool_calibration.session.judgements import GROSS, Held, Judgement, Supposition
@@ -67,17 +77,17 @@ class TrackingSpec(MethodSpec):
         """
         description = session.description.as_a(TrackingInterferometer)
         method = f"tracking_interferometer in {description.dimension} dimensions"
-        nominal_geometry.enough_stations(session, description.setups, measured, place, needed=2, method=method)
+        enough_stations(session, description.setups, measured, place, needed=2, method=method)
         if description.dimension == 3:
-            nominal_geometry.refuse_one_line(description.setups, place)
+            refuse_one_line(description.setups, place)
         _enough_targets(session, description.dimension, measured, place, method)
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements of a tracking interferometer."""
         description = session.description.as_a(TrackingInterferometer)
         if description.pointing == "open_loop":
-            yield nominal_geometry.judged_by_worst(_off_beam, _beam_mistakes(session, description.dimension))
-        yield nominal_geometry.judged_by_worst(_off_path, _path_mistakes(session, description))
+            yield judged_by_worst(_off_beam, _beam_mistakes(session, description.dimension))
+        yield judged_by_worst(_off_path, _path_mistakes(session, description))
 
     def held(self, session: Session) -> Iterator[Held]:
         """Commanded beams and displacements against the stations as they are stated."""
@@ -97,7 +107,7 @@ class TrackingSpec(MethodSpec):
         yield Held(
             "displacement",
             "the change of distance from the stated place of the station to the target",
-            nominal_geometry.off_prediction(session, reach, readings.setup),
+            off_prediction(session, reach, readings.setup),
             2.0 * place + _ERROR,
         )
 
@@ -170,7 +180,7 @@ def _beam_mistakes(session: Session, dimension: int) -> Iterator[Supposition]:
 def _off_path(session: Session) -> Array:
     dimension = session.description.as_a(TrackingInterferometer).dimension
     line = lines_of_sight(session, session.readings.position())[:, :dimension]
-    return nominal_geometry.relative_misfit(session, np.linalg.norm(line, axis=1), session.readings.setup)
+    return relative_misfit(session, np.linalg.norm(line, axis=1), session.readings.setup)
 
 
 def _path_mistakes(session: Session, description: TrackingInterferometer) -> Iterator[Supposition]:
@@ -199,7 +209,7 @@ def _azimuth_off(session: Session, setup: int) -> Array:
     """Azimuths of a station against the directions to the targets, rad."""
     mine = session.readings.setup == setup
     line = lines_of_sight(session, session.readings.position())[mine]
-    return nominal_geometry.wrapped(session.readings.columns["azimuth"][mine] - np.arctan2(line[:, 1], line[:, 0]))
+    return wrapped(session.readings.columns["azimuth"][mine] - np.arctan2(line[:, 1], line[:, 0]))
 
 
 def _zero_angle(session: Session, setup: int) -> str:

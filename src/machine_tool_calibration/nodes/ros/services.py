@@ -33,7 +33,6 @@ from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros import messages
-from machine_tool_calibration.nodes.ros.messages import Level, from_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
 
@@ -111,13 +110,19 @@ class Outcomes:
         `values` are for programs, SI; `kind` says in a word why there are none, and is empty where there are.
         """
         goal = uuid.uuid4().hex
-        level = Level.ERROR if kind else Level.OK
+        level = messages.Level.ERROR if kind else messages.Level.OK
         self.tell(verb, goal, stamp, text, {**({"kind": kind} if kind else {}), **values}, level)
         for answer in answers:
             answer.send(not kind, goal_sentence(goal, text))
 
     def tell(
-        self, verb: str, goal: str, stamp: int, text: str, values: Mapping[str, object], level: Level = Level.OK
+        self,
+        verb: str,
+        goal: str,
+        stamp: int,
+        text: str,
+        values: Mapping[str, object],
+        level: messages.Level = messages.Level.OK,
     ) -> None:
         """Publish an outcome of the goal of that id, at a time, ns."""
         self._publisher.publish(
@@ -149,7 +154,7 @@ class _Goal:
 
     def is_meant(self, wanted: GoalInfo) -> bool:
         """As CancelGoal defines it: by the id; without an id all until a time; without either all."""
-        number, until = bytes(wanted.goal_id.uuid), from_message(wanted.stamp)
+        number, until = bytes(wanted.goal_id.uuid), messages.from_message(wanted.stamp)
         if any(number):
             return number == self.number.bytes
         return not until or self.stamp <= until
@@ -168,7 +173,7 @@ class Goals:
         self._present: _Goal | None = None
         self._goals: deque[_Goal] = deque(maxlen=_GOALS_KEPT)
         self.step, self.share = "", 0.0  # the part of the present one that is under way, and how much of it is finished
-        self.last, self.level = "", Level.OK  # sentence about the one that ended last, and its level
+        self.last, self.level = "", messages.Level.OK  # sentence about the one that ended last, and its level
         self._statuses = node.create_publisher(GoalStatusArray, "~/goals", messages.LATCHED)
         self._outcomes = Outcomes(node, qos=messages.LATCHED)
         node.create_service(CancelGoal, "~/cancel", self._cancel)
@@ -240,13 +245,13 @@ class Goals:
         self._present, self.step, self.share = None, "", 0.0
         found: Mapping[str, object] = {}
         if isinstance(outcome, _CancelledError):
-            goal.status, self.level = GoalStatus.STATUS_CANCELED, Level.WARN
+            goal.status, self.level = GoalStatus.STATUS_CANCELED, messages.Level.WARN
             self.last = f"cancelled: {goal.doing}"
         elif isinstance(outcome, CalibrationError):
-            goal.status, self.level, self.last = GoalStatus.STATUS_ABORTED, Level.ERROR, str(outcome)
+            goal.status, self.level, self.last = GoalStatus.STATUS_ABORTED, messages.Level.ERROR, str(outcome)
         else:
             self.last, found = done(outcome)
-            goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, Level.OK
+            goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, messages.Level.OK
         self._outcomes.tell(goal.verb, goal.number.hex, messages.stamp_now(self._node), self.last, found, self.level)
         self._show()
 

@@ -27,8 +27,15 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.description import parse_procedure, read_procedure
-from machine_tool_calibration.procedure.workpiece import outline
-from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Material, Touched, probe_points
+from machine_tool_calibration.procedure.workpiece.outline import (
+    Arc,
+    Contour,
+    Material,
+    Straight,
+    Touched,
+    probe_points,
+    reachable,
+)
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import WorkpiecePoint
@@ -62,7 +69,7 @@ class Line(Record):
 
     def contour(self, unit: float) -> Contour:
         """The wall, m."""
-        return Contour((outline.Straight(_scaled(self.start, unit), _scaled(self.end, unit)),), False)
+        return Contour((Straight(_scaled(self.start, unit), _scaled(self.end, unit)),), False)
 
 
 class Circle(Record):
@@ -100,7 +107,7 @@ class Outline(_Drawn):
         """The polygon, m; corners given twice are taken once."""
         corners = [_scaled(vertex, unit) for vertex in self.vertices]
         ends = [*corners[1:], corners[0]] if self.closed else corners[1:]
-        pieces = [outline.Straight(a, b) for a, b in zip(corners, ends, strict=False) if a != b]
+        pieces = [Straight(a, b) for a, b in zip(corners, ends, strict=False) if a != b]
         return Contour(tuple(pieces), self.closed)
 
 
@@ -220,7 +227,7 @@ def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint
     obstacles = [segment for _, contours, _, _ in parts for contour in contours for segment in contour.segments]
     found: list[tuple[str, Touched]] = []
     for feature, _, touched, clearance in parts:
-        kept = touched.select(outline.reachable(touched, obstacles, radius, clearance)) if radius else touched
+        kept = touched.select(reachable(touched, obstacles, radius, clearance)) if radius else touched
         if isinstance(feature, Circle) and feature.kind == "hole" and feature.diameter * unit <= 2 * radius:
             raise SessionError(f"feature {feature.name}: the stylus does not fit into a hole of {feature.diameter:g}")
         found.append((feature.name, kept))
