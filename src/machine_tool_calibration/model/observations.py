@@ -66,6 +66,11 @@ class Observations:
             keys += list(np.round(self.direction.T * 1e6))
         return groups(readings.setup, *keys, *readings.labels.values())
 
+    @property
+    def moves(self) -> bool:
+        """Whether more than one position was read."""
+        return bool((np.ptp(self.position, axis=0) > SAME_POSITION).any()) if len(self) else False
+
     def span(self, axis: str) -> tuple[float, float]:
         """Lowest and highest position of a linear axis on which functions of its position are scaled, m.
 

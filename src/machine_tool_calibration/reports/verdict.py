@@ -2,6 +2,7 @@
 """The verdict in sentences."""
 
 from collections.abc import Iterator, Mapping
+from typing import Literal
 
 import numpy as np
 
@@ -34,6 +35,8 @@ from machine_tool_calibration.words import Said, say, together
 _APART = 6.0
 AS_GOOD = 0.1
 """Probability of another effect from which it is told beside those found."""
+# Covariates of a structure that is no more than that these differ: places, or what was read at the one place.
+_OF_PLACES = ("place", "target")
 # What does not reproduce over the residual, from which it is what limits.
 _LIMITS = 0.7
 # Scatter of repeats over that of all, below which places differ more than their repeats.
@@ -156,10 +159,21 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         left = rms(Pool(fit).residuals)
         if any(one.size > _LIMITS * left for one in fit.marginal.sizes):
             return say("next.runs")
-        if fits(fit.p_value) == "bad" and diagnosis.noise.as_read is None and diagnosis.noise.from_repeats is None:
-            return say("next.repeats", ratio=rounded(np.sqrt(fit.reduced_chi_square)))
-        return say("next.nothing")
+        if fits(fit.p_value) != "bad":
+            return say("next.nothing")
+        what = f"next.{_what_scatters(diagnosis)}"
+        return say(what, ratio=rounded(np.sqrt(fit.reduced_chi_square)))
     return say("next.smaller", measure=best.measure)
+
+
+def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "scatter", "places"]:
+    """Where readings scatter more than declared: nobody knows what does without repeats, these do, or places do."""
+    noise = diagnosis.noise
+    repeats = noise.as_read if noise.as_read is not None else noise.from_repeats
+    if repeats is None:
+        return "repeats"
+    scatter = float(np.sqrt(diagnosis.fits[-1].reduced_chi_square)) * noise.declared
+    return "scatter" if diagnosis.noisy or repeats > priors.AS_NOISY * scatter else "places"
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:
@@ -258,8 +272,8 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _dependence(structure: Structure) -> dict[str, str]:
     """What residuals depend on, and how much: the values of a sentence."""
-    if structure.covariate == "place":
-        covariate = say("diagnosis.place", shape=structure.shape)
+    if structure.covariate in _OF_PLACES:
+        covariate = say(f"diagnosis.{structure.covariate}", shape=structure.shape)
     else:
         known = structure.shape in ("smooth", "periodic", "its sign")
         shape = say(f"diagnosis.{structure.shape.replace(' ', '_')}") if known else structure.shape
@@ -296,12 +310,14 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         yield say("diagnosis.no_noise", ratio=rounded(ratio))
     found = ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
-        # "place" is what places differ by without a pattern.
-        patterns = [structure for structure in diagnosis.left if structure.covariate != "place"]
+        # What places differ by without a pattern is none.
+        patterns = [structure for structure in diagnosis.left if structure.covariate not in _OF_PLACES]
         probabilities = [alike_beside_p(own) for own in fit.fits]
         alike = any(p is not None and p < priors.STRUCTURE_P for p in probabilities)
         if alike or not patterns:
-            yield say("diagnosis.places_alike" if alike else "diagnosis.places_differ", repeats=quantity(repeats, "m"))
+            apart = "places_differ" if any(own.model.observations.moves for own in fit.fits) else "targets_differ"
+            key = "places_alike" if alike else apart
+            yield say(f"diagnosis.{key}", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.left:
         yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
 

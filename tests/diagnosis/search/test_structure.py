@@ -161,6 +161,15 @@ def test_setups_that_read_one_place_have_no_slopes() -> None:
     assert found.accepted == ()
 
 
+def test_at_one_place_no_place_differs() -> None:
+    """Two targets at one place, which no column describes."""
+    columns = {key: np.zeros(40) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(40)}
+    columns["displacement"] = np.tile([0.0, 5e-5], 20) + 1e-6 * np.random.default_rng(1).normal(size=40)
+    session = plates.session(columns, 1e-6)
+    session = session.with_readings(replace(session.readings, labels={"target": np.tile(["A", "B"], 20)}))
+    assert diagnose(session).left[0].covariate == "target"
+
+
 def test_a_zone_that_is_displaced_is_none_of_the_axes() -> None:
     """A tile of a plate: the yaw of X comes near to it."""
     silent = plan("grid_plate", 4)

@@ -426,15 +426,16 @@ def led_by_places(found: tuple[Structure, ...], fit: JointFit, every: Sequence[N
 
 
 def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
-    """Places that differ more than their repeats, whatever the pattern."""
+    """Places, or targets at the one place, that differ more than their repeats, whatever the pattern."""
     out = []
-    for noise in every:
+    for own, noise in zip(fit.fits, every, strict=True):
         p, repeats, declared = noise.lack_of_fit_p, noise.from_repeats, noise.declared
         if noise.as_read is not None and noise.as_read > priors.AS_NOISY * np.sqrt(fit.reduced_chi_square) * declared:
             continue  # a place is not even the same from run to run
         if p is not None and p < priors.LACK_OF_FIT_P and repeats is not None:
             share = max(1.0 - (repeats / declared) ** 2 / fit.reduced_chi_square, 0.0)
-            out.append(Structure("place", say("shape.places_differ"), p, share))
+            what = "place" if own.model.observations.moves else "target"
+            out.append(Structure(what, say(f"shape.{what}s_differ"), p, share))
     return tuple(out)
 
 
