@@ -20,7 +20,7 @@ from machine_tool_calibration.model.imperfection import imperfection
 from machine_tool_calibration.model.model import Kind, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
-from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 
 from .. import plates
 from ..line_model import Line
@@ -28,6 +28,9 @@ from ..line_model import Line
 SIGMA = 1e-6
 PASSES, PLACES = 6, 8
 PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate", "straightness"]
+
+
+SLOPED = Spread(slope=6e-6, bow=6e-6)
 
 
 def axis(
@@ -178,13 +181,13 @@ def test_an_effect_of_plausible_size_is_what_the_readings_say_and_one_beyond_it_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sizes_tried(monkeypatch, [0.5])
-    fit, model, spread, readings = axis(0.0, noise=3.0, limit=100.0 * SIGMA)
+    fit, model, spread, readings = axis(0.0, limit=100.0 * SIGMA)
     expected = generalised(model, spread, readings, 0.5)
     known = fit.marginal.scatter**2 * expected.covariance
     assert (np.abs(fit.published.theta[:2] - expected.theta) < 0.3 * np.sqrt(np.diag(known))).all()
     assert fit.published.covariance == pytest.approx(known, rel=0.05)
     # With a limit of a hundredth of what is read only the rare larger size is left: a hundred times the limit.
-    narrow = axis(0.0, noise=3.0, limit=0.2 * SIGMA)[0].published
+    narrow = axis(0.0, limit=0.2 * SIGMA)[0].published
     own = np.sqrt(fit.published.covariance[1, 1])
     assert 0.0 < expected.theta[1] - narrow.theta[1] < 6.0 * own
     # The offset moves with it as the readings say that it must.
@@ -278,6 +281,19 @@ def test_what_a_model_lacks_is_no_spread_where_readings_were_repeated(plan: str)
     spread = Spread(slope=8.0 * session.sigma, bow=8.0 * session.sigma)
     found = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=5, spread=spread)).session)[0]])
     assert max(size.size for size in found.marginal.sizes) > 1.5 * session.sigma
+
+
+def test_what_a_model_lacks_moves_no_map_where_nothing_was_repeated() -> None:
+    """Backlash leaves more than runs that differ can explain; runs that do differ move the map to where it belongs."""
+    for flaw, moves in (({"effects": (FlawSpec(id="backlash_y", amplitude=3e-6),)}, False), ({"spread": SLOPED}, True)):
+        session = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5, **flaw)).session
+        joint = fit_models([build_model(session)[0]])
+        assert max(size.size for size in joint.marginal.sizes) > 0.5 * session.sigma
+        at = slice(0, len(joint.solution.theta))
+        assert np.allclose(joint.published.theta, joint.solution.theta, rtol=1e-9, atol=1e-12) != moves
+        # What does not move the map widens it by all that runs may differ.
+        own, widened = np.diag(joint.solution.covariance), np.diag(joint.marginal.solution.covariance[at, at])
+        assert (np.median(widened[own > 0.0] / own[own > 0.0]) > 1.5) != moves
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis"])

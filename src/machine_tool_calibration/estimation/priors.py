@@ -192,7 +192,7 @@ never is."""
 CONTRADICTED, CONTRADICTED_P, MOST_OF_THE_EXCESS = 2.0, 1e-9, 0.5
 """Weighted mean square from which the readings contradict the best model, the probability of that, and the share of the
 excess that effects must explain to be the cause all the same: more than what does not reproduce and a wrong declaration
-usually come to."""
+usually come to. Of as much runs must be the cause to move a map where nothing was read again."""
 
 AS_NOISY = 0.9
 """Share of the whole scatter from which that of repeats is as much: then the declared uncertainty is too small."""

@@ -208,6 +208,10 @@ def _averaged(
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ [left_at(outside, found.ratios[k])[1] for k in chosen])
     scatter = _scatter(squares_left, dof)
+    # Where nothing was read again and what is left is mostly something else, neither do runs.
+    unmoved = imperfect.copy()
+    if solution.chi_square - squares_left < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
+        unmoved[runs] = True if repeated is None else unrepeated[own]
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
     tau[:, runs] = ratios[:, own]
@@ -217,7 +221,7 @@ def _averaged(
         )
     random = None
     if solved.random is None:
-        mean, covariance = _marginal(total, projected, root, tau, weights, scatter, imperfect)
+        mean, covariance = _marginal(total, projected, root, tau, weights, scatter, unmoved)
     else:
         tried = [_at(solved, solved.random, problem, total, squares, one, scatter) for one in tau]
         steps, covariances, found_random = zip(*tried, strict=True)
