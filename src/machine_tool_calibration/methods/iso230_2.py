@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, occurrence, rms
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, groups, occurrence, rms
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -281,6 +281,9 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
     for k in np.flatnonzero(move == 0):
         following = np.flatnonzero(np.diff(group[k:]) != 0)
         move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
+    stay = np.cumsum(again | (np.diff(group, prepend=-1) != 0))
+    if len(stay) >= 2 * stay[-1]:  # places are read several times in a row: nothing moves between
+        move = move[first_of_group(stay)]
     return target, move, deviation
 
 

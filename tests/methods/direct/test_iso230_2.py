@@ -92,6 +92,17 @@ def test_direction_of_approach_follows_from_the_order_where_it_is_not_recorded(d
     np.testing.assert_allclose(without["reversal"], with_column["reversal"], atol=1e-12)
 
 
+def test_places_read_several_times_in_a_row_were_approached_once(direct: SimpleNamespace) -> None:
+    """Nothing moves between the readings of one place, neither at the end of a run nor where it turns."""
+    session = direct.measured("iso230_2", repeats=1).session
+    readings = session.readings
+    columns = {name: values for name, values in readings.columns.items() if name != "dir_x"}
+    bare = type(readings)(**{**readings.__dict__, "columns": columns})
+    thrice = bare.select(np.repeat(np.flatnonzero(readings.columns["dir_x"] > 0), 3))
+    (run,) = identify(session.with_readings(thrice)).error_map.content["iso230_2"]
+    assert run["count_up"].tolist() == [3] * len(run["position"]) and not run["count_down"].any()
+
+
 def test_runs_that_begin_anew_at_one_end_went_one_way(direct: SimpleNamespace) -> None:
     """A turning table or an axis that goes back unread: nothing was approached from above."""
     session = direct.measured("iso230_2", repeats=5).session
