@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.search.candidates import Candidate
+from machine_tool_calibration.diagnosis.search.effect_search import _dependence
 from machine_tool_calibration.diagnosis.search.structure import (
     _around,
     _frequencies,
@@ -28,6 +30,7 @@ from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.words import say
 
 from ... import plates
 
@@ -146,7 +149,19 @@ def test_a_part_that_was_bumped_is_a_shift_along_the_axes() -> None:
     moment = int(0.62 * len(order))
     found = diagnose(with_change(silent, silent.sigma * shift * (order > moment)))
     assert (found.verdict, found.accepted) == ("unexplained", ())
-    assert found.left[0].shape.startswith("a shift along the axes at ")
+    assert found.left[0].shape.startswith("a shift along the axes after ")
+
+
+def test_moments_of_changes_count_the_readings_before_them() -> None:
+    """Those of a clock that is the number of a reading, from 0; periods are as they are."""
+    told = {
+        ("step_at", 0.0): "a step after 1 reading",
+        ("step_at", 6.0): "a step after 7 readings",
+        ("wave", 2.574): "a wave with a period of 2.57 readings",
+    }
+    for (shape, moment), words in told.items():
+        candidate = Candidate("", (), dependence=("order", say(f"shape.{shape}", at="")))
+        assert _dependence(candidate, (moment,)) == ("order", words)
 
 
 def test_setups_that_read_one_place_have_no_slopes() -> None:

@@ -410,8 +410,11 @@ def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, st
         return covariate, how
     if len(shape) > 1:
         return covariate, say(how.key, at=", ".join(f"{1e3 * position:.4g} mm" for position in shape))
-    at = f"{shape[0]:.3g}"
-    return covariate, say(how.key, at=f"{at} s" if covariate.endswith("time") else say("shape.readings", n=at))
+    if covariate.endswith("time"):
+        return covariate, say(how.key, at=f"{shape[0]:.3g} s")
+    # The moment of a change is that of the last reading before it, the first of which is number 0.
+    number = f"{shape[0]:.3g}" if how.key == "shape.wave" else round(shape[0]) + 1
+    return covariate, say(how.key, at=say("shape.readings", n=number))
 
 
 def led_by_places(found: tuple[Structure, ...], fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
