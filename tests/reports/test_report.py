@@ -205,6 +205,16 @@ def test_a_coefficient_that_is_negative_and_should_not_be_is_said_to_be() -> Non
     assert turned.accepted == ("backlash_x",) and list(verdict_words(turned, {}, Advice())).count(negative) == 1
 
 
+def test_what_is_likely_is_said_beside_readings_that_were_set_aside() -> None:
+    """Of an axis that was run both ways besides that directions differ, and no places."""
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=(FlawSpec(id="backlash_x"),))).session
+    named = diagnose(session)
+    unsure = replace(named, verdict="outliers", accepted=(), fitted=named.fitted[:1])
+    told = {key for words in verdict_words(unsure, {}, Advice()) for key in keys(words)}
+    assert {"diagnosis.none_sure", "diagnosis.likely", "fit.reversal"} <= told
+    assert not {"diagnosis.without_them_shown", "diagnosis.places_differ"} & told
+
+
 @pytest.mark.parametrize("verdict", ["adequate", "outliers"])
 def test_structure_that_is_too_small_to_matter_is_said_to_be(verdict: str) -> None:
     sound, _ = report("adequate")

@@ -11,7 +11,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.model.result import fits
+from machine_tool_calibration.model.result import fits, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import free_words, negative_words, scatter_words
@@ -120,15 +120,22 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     if diagnosis.verdict == "unexplained":
         return say("diagnosis.unexplained")
     if diagnosis.verdict == "outliers":
-        without = f"diagnosis.without_them_{'matters' if good_enough(diagnosis) else 'shown'}"
-        return together((say("diagnosis.outliers", n=len(diagnosis.gross_errors)), say(without, residual=residual)))
+        return together((say("diagnosis.outliers", n=len(diagnosis.gross_errors)), _sound(diagnosis, residual)))
+    return _sound(diagnosis, residual)
+
+
+def _sound(diagnosis: Diagnosis, residual: Said) -> Said:
+    """That no effect is named, of all readings or of those that were not set aside."""
     if diagnosis.likely:
         return together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
+    enough = good_enough(diagnosis)
     if _scatters(diagnosis):
-        return say("diagnosis.no_effect" if good_enough(diagnosis) else "diagnosis.no_pattern", residual=residual)
-    if good_enough(diagnosis):
+        return say("diagnosis.no_effect" if enough else "diagnosis.no_pattern", residual=residual)
+    if diagnosis.verdict == "outliers":
+        return say(f"diagnosis.without_them_{'matters' if enough else 'shown'}", residual=residual)
+    if enough:
         return say("diagnosis.nothing_matters", residual=residual)
-    return say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
+    return say("diagnosis.nothing_shown", p=probability(diagnosis.search.nothing), residual=residual)
 
 
 def only_reversal(diagnosis: Diagnosis) -> bool:
@@ -308,7 +315,8 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         yield from free_words(told)
     elif fits(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
         yield say("diagnosis.no_noise", ratio=rounded(ratio))
-    found = ratio * diagnosis.noise.declared
+    # Where both directions are a reversal apart, that is no difference of places.
+    found = one_direction(whole.error_map.content) or ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
         # What places differ by without a pattern is none.
         patterns = [structure for structure in diagnosis.left if structure.covariate not in _OF_PLACES]
