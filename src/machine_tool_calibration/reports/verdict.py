@@ -119,23 +119,17 @@ def _verdict(diagnosis: Diagnosis) -> Said:
         return say("diagnosis.which_unknown", p=probability(1.0 - look.nothing))
     if diagnosis.verdict == "unexplained":
         return say("diagnosis.unexplained")
-    if diagnosis.verdict == "outliers":
-        return together((say("diagnosis.outliers", n=len(diagnosis.gross_errors)), _sound(diagnosis, residual)))
-    return _sound(diagnosis, residual)
-
-
-def _sound(diagnosis: Diagnosis, residual: Said) -> Said:
-    """That no effect is named, of all readings or of those that were not set aside."""
+    enough, scatters = good_enough(diagnosis), _scatters(diagnosis)
     if diagnosis.likely:
-        return together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
-    enough = good_enough(diagnosis)
-    if _scatters(diagnosis):
-        return say("diagnosis.no_effect" if enough else "diagnosis.no_pattern", residual=residual)
-    if diagnosis.verdict == "outliers":
-        return say(f"diagnosis.without_them_{'matters' if enough else 'shown'}", residual=residual)
-    if enough:
-        return say("diagnosis.nothing_matters", residual=residual)
-    return say("diagnosis.nothing_shown", p=probability(diagnosis.search.nothing), residual=residual)
+        sound = together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
+    elif scatters or enough:
+        key = ("no_effect" if enough else "no_pattern") if scatters else "nothing_matters"
+        sound = say(f"diagnosis.{key}", residual=residual)
+    else:
+        sound = say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
+    # Of the readings that were not set aside.
+    outliers = say("diagnosis.outliers", n=len(diagnosis.gross_errors))
+    return together((outliers, sound)) if diagnosis.verdict == "outliers" else sound
 
 
 def only_reversal(diagnosis: Diagnosis) -> bool:

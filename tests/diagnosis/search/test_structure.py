@@ -154,14 +154,9 @@ def test_a_part_that_was_bumped_is_a_shift_along_the_axes() -> None:
 
 def test_moments_of_changes_count_the_readings_before_them() -> None:
     """Those of a clock that is the number of a reading, from 0; periods are as they are."""
-    told = {
-        ("step_at", 0.0): "a step after 1 reading",
-        ("step_at", 6.0): "a step after 7 readings",
-        ("wave", 2.574): "a wave with a period of 2.57 readings",
-    }
-    for (shape, moment), words in told.items():
-        candidate = Candidate("", (), dependence=("order", say(f"shape.{shape}", at="")))
-        assert _dependence(candidate, (moment,)) == ("order", words)
+    step, wave = (Candidate("", (), dependence=("order", say(f"shape.{of}", at=""))) for of in ("step_at", "wave"))
+    told = [_dependence(candidate, (moment,))[1] for candidate, moment in ((step, 0.0), (step, 6.0), (wave, 2.574))]
+    assert [words.rsplit(" ", 2)[1:] for words in told] == [["1", "reading"], ["7", "readings"], ["2.57", "readings"]]
 
 
 def test_setups_that_read_one_place_have_no_slopes() -> None:

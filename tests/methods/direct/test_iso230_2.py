@@ -3,6 +3,7 @@
 Position errors against the truth: their size is as stated.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning, positioning_uncertainty
 from machine_tool_calibration.reports.identification import goodness_of_fit
+from machine_tool_calibration.session.session import Readings, Session
 
 from ... import plates
 
@@ -82,37 +84,30 @@ def test_a_run_of_a_session_is_reported(direct: SimpleNamespace) -> None:
     assert abs(run["B_mean"]) == pytest.approx(6e-6, abs=1e-7)  # twice the half width
 
 
+def bare(session: Session) -> Readings:
+    """Readings of which the sense of the last move was not recorded."""
+    columns = {name: values for name, values in session.readings.columns.items() if name != "dir_x"}
+    return replace(session.readings, columns=columns)
+
+
 def test_direction_of_approach_follows_from_the_order_where_it_is_not_recorded(direct: SimpleNamespace) -> None:
     simulated = direct.measured("iso230_2", repeats=3, effects=[{"id": "backlash_x", "size": 3e-6}])
-    readings = simulated.session.readings
-    columns = {name: values for name, values in readings.columns.items() if name != "dir_x"}
-    bare = type(readings)(**{**readings.__dict__, "columns": columns})
     (with_column,) = identify(simulated.session).error_map.content["iso230_2"]
-    (without,) = identify(simulated.session.with_readings(bare)).error_map.content["iso230_2"]
+    (without,) = identify(simulated.session.with_readings(bare(simulated.session))).error_map.content["iso230_2"]
     np.testing.assert_allclose(without["reversal"], with_column["reversal"], atol=1e-12)
-
-
-def test_places_read_several_times_in_a_row_were_approached_once(direct: SimpleNamespace) -> None:
-    """Nothing moves between the readings of one place, neither at the end of a run nor where it turns."""
-    session = direct.measured("iso230_2", repeats=1).session
-    readings = session.readings
-    columns = {name: values for name, values in readings.columns.items() if name != "dir_x"}
-    bare = type(readings)(**{**readings.__dict__, "columns": columns})
-    thrice = bare.select(np.repeat(np.flatnonzero(readings.columns["dir_x"] > 0), 3))
-    (run,) = identify(session.with_readings(thrice)).error_map.content["iso230_2"]
-    assert run["count_up"].tolist() == [3] * len(run["position"]) and not run["count_down"].any()
 
 
 def test_runs_that_begin_anew_at_one_end_went_one_way(direct: SimpleNamespace) -> None:
     """A turning table or an axis that goes back unread: nothing was approached from above."""
     session = direct.measured("iso230_2", repeats=5).session
-    readings = session.readings
-    columns = {name: values for name, values in readings.columns.items() if name != "dir_x"}
-    bare = type(readings)(**{**readings.__dict__, "columns": columns})
-    up = bare.select(readings.columns["dir_x"] > 0)
+    up = bare(session).select(session.readings.columns["dir_x"] > 0)
     (run,) = identify(session.with_readings(up)).error_map.content["iso230_2"]
     assert run["count_up"].tolist() == [5] * len(run["position"]) and not run["count_down"].any()
     assert run["E_up"] > 0.0 and np.isnan(run["B"])
+    # Nothing moves between the readings of one place, at the end of a run neither.
+    thrice = session.with_readings(up.select(np.repeat(np.arange(len(up)), 3)))
+    (run,) = identify(thrice).error_map.content["iso230_2"]
+    assert run["count_up"].tolist() == [15] * len(run["position"]) and not run["count_down"].any()
 
 
 @pytest.mark.parametrize("kind", ["straightness", "grid_plate", "drilled_plate"])
