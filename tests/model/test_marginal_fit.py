@@ -33,6 +33,21 @@ PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230
 SLOPED = Spread(slope=6e-6, bow=6e-6)
 
 
+def line(columns: dict[str, Array], limit: float | None = None) -> JointFit:
+    """A fit of an offset and a scale, where there is a limit of an effect of plausible size."""
+    session, n = plates.session(columns, SIGMA, machine={"chain": "w-X-b-t"}), len(columns["x"])
+    place, along, zero = (
+        np.eye(1, 3) * columns["x"][:, None],
+        np.tile(np.eye(1, 3), (n, 1)),
+        np.zeros(n, dtype=np.int64),
+    )
+    observations = Observations(session, session.readings, place, along, 0.0 * along, np.zeros(n), zero)
+    scale = Parameter("scale", "1", shared=True)
+    if limit is not None:
+        scale = Parameter("scale.s", "1", -limit, limit, shared=True, kind=Kind.EFFECT, owner="scale")
+    return fit_models([Line(observations, (Term("scale", (scale,), columns["x"][None]),), (), (), (), "none")])
+
+
 def axis(
     between: float, seed: int = 0, noise: float = 1.0, limit: float | None = None
 ) -> tuple[JointFit, Array, Array, Array]:
@@ -56,18 +71,8 @@ def axis(
     columns = np.column_stack([np.ones(n), x])
     own = np.repeat(rng.normal(size=PASSES), PLACES) * between * np.tile(np.linspace(-1.0, 1.0, PLACES), PASSES)
     reading = SIGMA * (columns @ [3.0, 20.0] + own + noise * rng.normal(size=n))
-    zero = np.zeros(n, dtype=np.int64)
-    content = {"x": x, "time": np.arange(n) * 5.0, "displacement": reading}
-    session = plates.session(content, SIGMA, machine={"chain": "w-X-b-t"})
-    place = np.column_stack([x, np.zeros((n, 2))])
-    along = np.tile([1.0, 0.0, 0.0], (n, 1))
-    observations = Observations(session, session.readings, place, along, 0.0 * along, np.zeros(n), zero)
-    scale = Parameter("scale", "1", shared=True)
-    if limit is not None:
-        scale = Parameter("scale.s", "1", -limit, limit, shared=True, kind=Kind.EFFECT, owner="scale")
-    term = Term("scale", (scale,), x[None])
-    fit = fit_models([Line(observations, (term,), (), (), (), "none")])
-    (family,) = reproducibility(observations)
+    fit = line({"x": x, "time": np.arange(n) * 5.0, "displacement": reading}, limit)
+    (family,) = reproducibility(fit.assembly.models[0].observations)
     return fit, columns / SIGMA, family.columns().T, reading / SIGMA
 
 
@@ -294,6 +299,23 @@ def test_what_a_model_lacks_moves_no_map_where_nothing_was_repeated() -> None:
         # What does not move the map widens it by all that runs may differ.
         own, widened = np.diag(joint.solution.covariance), np.diag(joint.marginal.solution.covariance[at, at])
         assert (np.median(widened[own > 0.0] / own[own > 0.0]) > 1.5) != moves
+
+
+@pytest.mark.parametrize("most", [20_000, 300])
+def test_places_that_differ_more_than_their_repeats_count_as_many_as_they_are(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each place of an axis is read eight times in a row: its own error is not averaged by that."""
+    monkeypatch.setattr("machine_tool_calibration.model.reproducibility._ENOUGH", most)
+    rng = np.random.default_rng(1)
+    x, own = np.linspace(0.0, 1.0, 100), 3.0 * SIGMA * rng.normal(size=100)
+
+    def uncertainty(times: int) -> Array:
+        read = np.repeat(own, times) + SIGMA * rng.normal(size=100 * times)
+        fit = line({"x": np.repeat(x, times), "displacement": read})
+        return np.asarray(np.sqrt(np.diag(fit.published.covariance)))
+
+    assert uncertainty(8) == pytest.approx(uncertainty(1), rel=0.15)
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis"])

@@ -28,7 +28,15 @@ from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.model import Assembly, RandomPosterior, RandomUnknowns, assemble
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.reproducibility import DRIFT, Family, of_repeats, offsets_apart, with_drift
+from machine_tool_calibration.model.reproducibility import (
+    DRIFT,
+    Family,
+    PureError,
+    of_repeats,
+    offsets_apart,
+    with_drift,
+)
+from machine_tool_calibration.session.catalogue import spec_of
 
 
 @dataclass(frozen=True)
@@ -123,7 +131,9 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     if u or solved.random is not None:
         found = _averaged(solved, problem, wide, place, offset, names)
     else:
-        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
+        repeated = _of_repeats(solved, ())
+        again = (0.0, 0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
+        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
         found = _Marginal(
             np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
         )
@@ -191,12 +201,11 @@ def _averaged(
     own, was = offsets_apart(place[runs], offset[runs], seen[runs])
     some = np.append(runs, u)
     inner = projected[np.ix_(some, some)]
-    observed = [model.observations for model in solved.assembly.models]
-    left = [solved.normalised(k) for k in range(len(observed))]
-    repeated = of_repeats(observed, left, families) if len(runs) else None
+    repeated = _of_repeats(solved, families)
     outside = Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof)
     # Readings of the same thing tell the sizes where there are such.
-    same = outside if repeated is None else repeated.outside(~seen[runs], own)
+    pure = None if repeated is None else repeated.outside(~seen[runs], own)
+    same = outside if pure is None or not len(runs) else pure
     shown, whole = (np.bincount(own, np.diag(one.inner), len(was)) for one in (same, outside))
     unrepeated = shown < _LEAST_SHARE_LEFT * whole
     found = components(outside if unrepeated.all() else same)
@@ -207,7 +216,10 @@ def _averaged(
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ [left_at(outside, found.ratios[k])[1] for k in chosen])
-    scatter = _scatter(squares_left, dof)
+    again = (0.0, 0)
+    if repeated is not None and pure is not None:
+        again = repeated.whole(left_at(pure, found.ratios[chosen[0]])[1], pure.dof)
+    scatter = _scatter(squares_left, dof, again)
     # Where nothing was read again and what is left is mostly something else, neither do runs.
     unmoved = imperfect.copy()
     if solution.chi_square - squares_left < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
@@ -375,12 +387,31 @@ def _with_random(
     return found, step, covariance
 
 
-def _scatter(chi_square: float, dof: int) -> float:
+def _of_repeats(solved: Solved, families: Sequence[str]) -> PureError | None:
+    """Readings of the same thing; None also where runs have constants of their own, which are not among `families`."""
+    observed = [model.observations for model in solved.assembly.models]
+    if not families and not all(spec_of(one.session).reads_machine for one in observed):
+        return None
+    return of_repeats(observed, [solved.normalised(k) for k in range(len(observed))], families)
+
+
+def _scatter(squares: float, dof: int, again: tuple[float, int] = (0.0, 0)) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
-    Less scatter makes nothing better: an instrument may be off by the same amount everywhere.
+    Less scatter makes nothing better: an instrument may be off by the same amount everywhere. Where readings of the
+    same thing agree better than the model fits, what is left is of the places, of which there are fewer than readings:
+    it scatters by the mean square of the lack of fit (Draper and Smith 1998, section 2.1).
+
+    Args:
+        squares: weighted sum of squared residuals that is left beside what does not reproduce.
+        dof: its degrees of freedom.
+        again: the same of readings of the same thing alone.
     """
-    return float(np.sqrt(np.maximum(noise_variance(chi_square, dof), 1.0)))
+    variance = float(noise_variance(squares, dof))
+    if dof > again[1] > 0:
+        lacking = max(squares - again[0], 0.0) / variance
+        variance *= max(float(noise_variance(lacking, dof - again[1])), 1.0)
+    return float(np.sqrt(max(variance, 1.0)))
 
 
 def _sizes(

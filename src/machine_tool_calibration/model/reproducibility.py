@@ -89,6 +89,11 @@ class PureError:
     # (u + 1, u + 1) inner products of [functions that do not reproduce, residual] there, over the declared uncertainty
     gram: Array
     dof: int  # degrees of freedom
+    lost: int = 0  # those of readings that were left out, as there are many
+
+    def whole(self, squares: float, dof: int) -> tuple[float, int]:
+        """A sum of squares and its degrees of freedom, as they are with the readings that were left out."""
+        return squares * (dof + self.lost) / dof, dof + self.lost
 
     def outside(self, own: BoolArray, family: IntArray) -> Gram:
         """Without functions (u,) that the model has as unknowns of its `own`, such as the constants of runs."""
@@ -152,7 +157,7 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
 
     The residuals (n,) of each session are over the declared uncertainty.
     """
-    columns, left, dof = [], [], 0
+    columns, left, dof, lost = [], [], 0, 0
     for observations, residual in zip(observed, residuals, strict=True):
         place = observations.place
         stride = -(-len(place) // _ENOUGH)
@@ -160,6 +165,7 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         mine = groups(place[some])
         count = np.bincount(mine)
         dof += int(np.sum(count - 1))
+        lost += len(place) - int(place.max(initial=-1)) - 1 - int(np.sum(count - 1))
         families = [family.columns()[:, some] for family in with_drift(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
         mean = np.array([np.bincount(mine, values) / count for values in both])
@@ -176,7 +182,7 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         both = np.concatenate([c, r[None]])
         whole[np.ix_(place, place)] += both @ both.T
         first += len(c)
-    return PureError(whole, dof)
+    return PureError(whole, dof, lost)
 
 
 def _smooth(observations: Observations, group: IntArray) -> Array:
