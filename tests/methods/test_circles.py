@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Circles with a ball bar: against exact geometry, which knows nothing of the model."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,27 @@ def test_nothing_is_missing_in_a_sound_machine() -> None:
 def test_three_causes_are_named_together() -> None:
     causes = ("backlash_y", "reversal_spike_x", "pitch_periodic_x")
     assert set(causes) <= set(diagnose(simulated(*causes)).accepted)
+
+
+def test_an_angle_of_one_lever_arm_is_the_straightness_there() -> None:
+    def reasons(session: Session) -> dict[str, str | None]:
+        seen = build_model(session)[0].observations
+        return {name: find_effects([name])[0].why_not(seen) for name in ("EAX", "EBY", "ECX", "EYX", "reversal_EAX")}
+
+    low = Circles("XY").session()
+    assert reasons(low) == {
+        "EAX": "with one lever arm it is EYX",
+        "EBY": "with one lever arm it is EXY",
+        "ECX": None,
+        "EYX": None,
+        "reversal_EAX": "with one lever arm it is EYX",
+    }
+    # A second circle at another height has another lever arm.
+    heights = np.where(np.arange(len(low.readings)) % 2, 0.0, 0.1)
+    high = low.with_readings(
+        replace(low.readings, columns={**low.readings.columns, "z": low.readings.columns["z"] + heights})
+    )
+    assert reasons(high)["EAX"] is None
 
 
 def test_of_a_servo_mismatch_one_plane_does_not_tell_which_axis_is_late() -> None:

@@ -46,6 +46,24 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
     return np.asarray(along if turned is None else along + turned[:, component])
 
 
+def why_no_angle(observations: Observations, motion: ErrorMotion) -> str | None:
+    """Why circles of a ball bar show no such angle: wherever its axis moves its lever arm is one.
+
+    They read one point of the tool, and what that does is its straightness, whatever turns (ISO 230-1).
+    """
+    if not motion.is_rotation or observations.session.method != "ball_bar" or observations.covered is not None:
+        return None
+    place, setup = observations.position[:, "XYZ".index(motion.axis)], observations.readings.setup
+    moves = np.isin(setup, [s for s in np.unique(setup) if np.ptp(place[setup == s]) > SAME_POSITION])
+    turned = sensed_motion(observations, motion)[moves]
+    for letter in "XYZ":
+        moved = sensed_motion(observations, ErrorMotion(motion.axis, letter))[moves]
+        arm = float(moved @ turned) / max(float(moved @ moved), _ARM)
+        if arm and np.abs(turned - arm * moved).max() < _ARM:
+            return f"with one lever arm it is E{letter}{motion.axis}"
+    return None
+
+
 def _look(degree: int) -> str:
     return say(f"coefficient.{_POWERS[degree]}") if degree < len(_POWERS) else say("coefficient.power", n=degree)
 
@@ -80,6 +98,10 @@ class ErrorMotionEffect(AxisEffect):
             self.contains = (f"scale_{self.axis}", "scale")
         elif not self.motion.is_rotation:
             self.contains = tuple(name for name, axes in SQUARENESS.items() if {*axes} == {*self.motion})
+
+    def why_not(self, observations: Observations) -> str | None:
+        """An angle of one lever arm is no other error than the straightness."""
+        return super().why_not(observations) or why_no_angle(observations, self.motion)
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Of the polynomial, or as many as a single axis has positions."""

@@ -5,7 +5,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient
-from machine_tool_calibration.effects.error_motion import sensed_motion
+from machine_tool_calibration.effects.error_motion import sensed_motion, why_no_angle
 from machine_tool_calibration.effects.families import ReversalEffect
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.model.observations import Observations
@@ -34,6 +34,10 @@ class Reversal(ReversalEffect):
         super().__init__(name)
         unit, limit = ("rad", 2e-4) if parse_motion(name).is_rotation else ("m", 5e-5)
         self.coefficients = (Coefficient("b", unit, -limit, limit, say("coefficient.half_width")),)
+
+    def why_not(self, observations: Observations) -> str | None:
+        """An angle of one lever arm is no other error than the straightness."""
+        return super().why_not(observations) or why_no_angle(observations, parse_motion(self.name))
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """What a unit of the motion changes, against the direction of approach."""
