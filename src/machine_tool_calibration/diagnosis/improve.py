@@ -74,7 +74,7 @@ class Step:
         chi = self.reduced_chi_square
         if self.map_uncertainty is None or chi is None:
             return None
-        more = np.sqrt(max(chi, 1.0)) / self.result.joint.marginal.scatter
+        more = max(np.sqrt(max(chi, 1.0)) / self.result.joint.marginal.scatter, 1.0)
         return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
 
     def residual_volumetric_error(self, last: Step) -> float | None:

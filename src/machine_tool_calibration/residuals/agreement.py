@@ -274,11 +274,12 @@ class Neighbours:
     What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
     """
 
-    def __init__(self, readings: Readings) -> None:
+    def __init__(self, readings: Readings, direction: Array) -> None:
         """Order them.
 
         Args:
             readings: in the order of time; those along x and along y of a part are two runs.
+            direction: (n, 3) that each senses.
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
@@ -288,6 +289,9 @@ class Neighbours:
         place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
         self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
         self.repeats = _Ordered(groups(place, *approach))
+        # Read again in another setup, such as a circle at another feed.
+        sensed = np.round(direction.T * 1e6)
+        self.elsewhere = _Ordered(groups(same_place(readings, any_setup=True), *sensed, *approach))
 
     def course(self, which: IntArray, residual: Array) -> Array:
         """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
@@ -334,10 +338,11 @@ class Neighbours:
 
     def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
         """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
-        repeats = self.repeats.near(which, residual)[1]
-        own = residual[which][:, None]
-        alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
-        return np.asarray(np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1))
+        own, out = residual[which][:, None], np.zeros(len(which), dtype=bool)
+        for repeats in (read.near(which, residual)[1] for read in (self.repeats, self.elsewhere)):
+            alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
+            out |= np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1)
+        return out
 
 
 class _Ordered:

@@ -170,7 +170,7 @@ class _Search:
         self.problem = assemble([model]).problem
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
-        self.neighbours = Neighbours(self.readings)
+        self.neighbours = Neighbours(self.readings, model.observations.direction)
         self.sigma = model.sigma
         self.n = self.part.n_readings
         theta, local = self.problem.zero

@@ -28,8 +28,6 @@ _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
 # machine itself is read, which holds many small errors side by side.
 _GROWN, _PAIRS = 6, 4
 _MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
-# Coefficients of an effect beyond which it may stand for two.
-_MANY = 2
 # Logarithm of the odds to the best below which a set is not grown.
 _HOPELESS = -7.0
 # A probability of nothing.
@@ -164,16 +162,16 @@ class _Search:
     def exchange(self, key: frozenset[int], pairs_among: Sequence[int]) -> None:
         """Every other candidate in place of each member, the others at the points that the set has given them.
 
-        A member of many coefficients may stand for two effects: all pairs are tried in its place.
+        A member may stand for two effects, as the lag of one axis does for that of another and a backlash: all pairs
+        are tried in its place.
         """
         members = self.found[key][1]
-        for k, point in members.items():
+        for k in members:
             others = {j: own for j, own in members.items() if j != k}
             beside = self.grow(others)
-            if len(self.blocks[point.block].unit) > _MANY:
-                for pair in _best_pairs(self, beside, pairs_among, others):
-                    for one, at in pair.items():
-                        self.grow(others | {one: at})
+            for pair in _best_pairs(self, beside, pairs_among, others):
+                for one, at in pair.items():
+                    self.grow(others | {one: at})
 
     def _keep_with(self, members: Members, k: int, found: Table) -> None:
         """The set of some members and another candidate, from the table beside these members."""
