@@ -171,6 +171,16 @@ def test_setups_that_read_one_place_have_no_slopes() -> None:
     assert found.accepted == ()
 
 
+def test_a_slow_wave_that_is_read_in_bursts_is_no_fast_one() -> None:
+    """Three readings within eight seconds, every minute: half a wave in an hour has an alias of a minute's period."""
+    time = (60.3 * np.arange(60)[:, None] + [0.0, 4.0, 8.0]).ravel()
+    columns = {key: np.zeros(180) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(180), "time": time}
+    columns["displacement"] = 1e-5 * np.sin(np.pi * time / 3600.0) + 1e-6 * np.random.default_rng(1).normal(size=180)
+    waves = [c for c in structure_candidates(Pool(fit_models([build_model(plates.session(columns, 1e-6))[0]])))]
+    periods = [s.shape[0] for c in waves if "wave" in c.name for s in c.shapes]
+    assert periods and min(periods) > 110.0
+
+
 def test_at_one_place_no_place_differs() -> None:
     """Two targets at one place, which no column describes."""
     columns = {key: np.zeros(40) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(40)}

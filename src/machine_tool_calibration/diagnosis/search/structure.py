@@ -43,6 +43,8 @@ _SAME_DIRECTION = 1e-6
 # Frequencies of the periodogram for each independent one, and its largest peaks that are looked at.
 _OVERSAMPLED, _PEAKS = 4, 8
 _MOST_FREQUENCIES = 20000
+# Intervals of readings from which a burst of them ends, and readings of a short one.
+_BETWEEN_BURSTS, _IN_A_BURST = 3.0, 6
 # Bands of waves, by periods over the whole session, one of which may be missing in each: slower ones are smooth
 # functions; of those in these bands the model and what does not reproduce absorb much, of faster ones little.
 _BANDS = ((2.5, 12.0), (12.0, 60.0))
@@ -256,7 +258,7 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
         moments = np.union1d(evenly, _moments(time, of, explained)).tolist()
         steps = tuple(Shaped((moment,), of(moment)) for moment in moments)
         yield _structure(covariate, say(shape, at=""), steps, len(time))
-    length, highest = float(np.ptp(time)), len(time) / 2.0
+    length, highest = float(np.ptp(time)), _samples(time) / 2.0
     for lowest, end in _BANDS:
         frequency = _frequencies(lowest, min(end, highest)) / length
         if len(frequency):
@@ -309,6 +311,13 @@ def _step(time: Array, moment: float) -> Array:
 def _wave(time: Array, frequency: float) -> Array:
     phase = 2.0 * np.pi * frequency * (time - time[0])
     return np.array([np.sin(phase), np.cos(phase)])
+
+
+def _samples(time: Array) -> int:
+    """Number of readings; where they come in short bursts that of bursts: faster waves are aliases of slow ones."""
+    gap = np.diff(np.sort(time))
+    bursts = 1 + int(np.sum(gap > _BETWEEN_BURSTS * np.median(gap)))
+    return bursts if len(time) <= _IN_A_BURST * bursts else len(time)
 
 
 def _frequencies(lowest: float, highest: float) -> Array:
