@@ -219,14 +219,15 @@ def _averaged(
     again = (0.0, 0)
     if repeated is not None and pure is not None:
         again = repeated.whole(left_at(pure, found.ratios[chosen[0]])[1], pure.dof)
-    scatter = _scatter(squares_left, dof, again)
+    # What does not reproduce is in units of the noise, which places that differ do not change.
+    plain, scatter = _scatter(squares_left, dof), _scatter(squares_left, dof, again)
     # Where nothing was read again and what is left is mostly something else, neither do runs.
     unmoved = imperfect.copy()
     if solution.chi_square - squares_left < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = True if repeated is None else unrepeated[own]
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
-    tau[:, runs] = ratios[:, own]
+    tau[:, runs] = ratios[:, own] * plain / scatter
     if imperfect.any():
         tau[:, imperfect] = _misfit(
             projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof

@@ -352,8 +352,7 @@ def _accepted(
         del left[best]
     accepted.sort(key=lambda k: -found.log_factor(k))
     signals = [_signal(columns, found, k) for k in accepted]
-    alone = [float(found.single.log_evidence[k]) for k in accepted]
-    return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals, alone)
+    return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
 
 
 def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:

@@ -224,18 +224,15 @@ def alias_groups(
     return tuple(groups)
 
 
-def without_laws(
-    effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array], alone: Sequence[float]
-) -> tuple[str, ...]:
+def without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array]) -> tuple[str, ...]:
     """Names of the effects, the surest first, without those by which another one differs from its law.
 
-    What comes with the direction of approach is no other effect's smooth function of time; nor is what has more evidence
-    by itself (`alone`).
+    What comes with the direction of approach is no other effect's smooth function of time.
     """
 
     def of_law(k: int, j: int, most: float) -> bool:
-        may_be = effects[k].reverses == effects[j].reverses and alone[k] <= alone[j]
-        return may_be and _of_law(pool, signals[k], signals[j], most)
+        same = effects[k].reverses == effects[j].reverses
+        return same and _of_law(pool, signals[k], signals[j], most)
 
     def slow(k: int, j: int) -> bool:
         """Whether one without a time constant is the slow part of one that has such."""
