@@ -2,6 +2,7 @@
 """Laws of single effects: expansion away from a fixed point, the leads of a screw, what an instrument can have."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
+from machine_tool_calibration.effects.vibration import _frequencies
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
@@ -145,6 +147,16 @@ def test_of_a_long_axis_long_waves_without_a_gap_and_the_usual_leads(span: float
     beyond = found[len(long) :]
     usual = [1e3 / (lead * share) for lead in (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 32, 40) for share in (1.0, 0.5)]
     assert set(np.round(beyond, 6)) == {round(f, 6) for f in usual if long[-1] + 0.2 / span < f <= 250.0}
+
+
+def test_a_vibration_is_looked_for_up_to_half_the_rate_of_the_fastest_run() -> None:
+    """From four waves in the shortest run; in steps that the longest tells apart."""
+    clock = np.concatenate([0.01 * np.arange(401), 60.0 + 0.05 * np.arange(201)])  # 4 s at 100 Hz, 10 s at 20 Hz
+    setup = np.repeat([0, 1], [401, 201])
+    found = _frequencies(SimpleNamespace(clock=clock, readings=SimpleNamespace(setup=setup, repeat=0 * setup)))
+    assert found[0] == pytest.approx(4.0 / 4.0)
+    assert 50.0 - 1.0 / 10.0 < found[-1] < 50.0
+    assert np.diff(found).max() < 1.0 / 10.0
 
 
 OF_A_BEAM = {"dead_path", "refractive_index", "pointer_radial_error", "pointer_zero_offset", "pointer_axis_offset",

@@ -165,6 +165,7 @@ def test_every_number_is_positive_and_shares_are_less_than_one(name: str) -> Non
 
 def test_what_is_surer_is_asked_more_of() -> None:
     assert priors.MAY_BE < priors.LIKELY < priors.ACCEPTED < priors.FURTHER < priors.SURE
+    assert priors.RARE_SIZE == priors.SCALE_STEP * priors.SCALE_STEP  # two of the steps between plausible sizes
     assert priors.STRUCTURE < priors.EFFECT < priors.ALL_REPRODUCES
     assert priors.ALIKE < priors.THE_SAME and priors.SUSPECTED < priors.SUSPECTED_BESIDE < priors.WIDTH
     assert priors.AGREEING <= priors.NEIGHBOURS and priors.HARDLY_DECLARED_DOF < priors.DECLARED_DOF

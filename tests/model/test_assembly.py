@@ -8,7 +8,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.json_types import plain
-from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.fit import changed, fit_models
 from machine_tool_calibration.model.model import Constraint, Parameter, Prior, Term, assemble, motion_value
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result, correlated_with
@@ -72,6 +72,15 @@ def test_constraint_and_prior():
     known = fit_models([line(2e-6 * X, priors=[Prior({"scale": 1.0}, 0.0, 1e-12)])])
     assert known.fits[0].theta[1] == pytest.approx(0.0, abs=1e-9)
     assert known.solution.degrees_of_freedom == held.solution.degrees_of_freedom == 8
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_other_readings_and_other_knowledge_are_weighted_as_those_before(again: bool):
+    """A scale known as well as the readings tell it goes half the way that either goes."""
+    known = fit_models([line(2e-6 * X, priors=[Prior({"scale": 1.0}, 2e-6, 1e-6 / np.linalg.norm(X))])])
+    assert changed(known, [1e-6 * X], again=again).solution.theta[1] == pytest.approx(2.5e-6)
+    assert changed(known, [0.0 * X], np.array([-1e-6]), again=again).solution.theta[1] == pytest.approx(1.5e-6)
+    assert changed(fit_models([line(2e-6 * X)]), [1e-6 * X], np.zeros(0)).solution.theta[1] == pytest.approx(3e-6)
 
 
 def test_too_few_readings():

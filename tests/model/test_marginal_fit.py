@@ -148,6 +148,13 @@ def test_beside_random_unknowns_all_are_solved_at_once(monkeypatch: pytest.Monke
     assert mean[4] == 0.0 and not covariance[4].any() and not covariance[:, 4].any()
 
 
+def test_what_is_expected_of_random_unknowns_is_in_the_sum_of_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If all reproduces, what is left is what the fit left, its small angles counted as readings of zero."""
+    sizes_tried(monkeypatch, [0.0])
+    joint = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3)).session)[0]])
+    assert joint.marginal.squares == pytest.approx(joint.solution.chi_square, rel=1e-9)
+
+
 def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.MonkeyPatch) -> None:
     ratios = [0.0, 0.6, 2.0]
     sizes_tried(monkeypatch, ratios)

@@ -23,6 +23,7 @@ from machine_tool_calibration.model.rigid_body import (
     linear_axis_errors,
     map_field,
     position_errors,
+    read_nodes,
     table_datum,
     tables_content,
     thinned,
@@ -189,6 +190,12 @@ def test_nodes() -> None:
     assert distinct_nodes(np.array([0.0, 0.9999, 0.0005, 1.0, -0.0])).tolist() == [0.0, 0.9999]
     assert distinct_nodes(np.array([0.0, 0.5, 0.502, 1.0])).tolist() == [0.0, 0.5, 0.502, 1.0]
     assert thinned(np.array([0.0, 0.1, 0.4, 0.6, 0.9, 1.0]), 3).tolist() in ([0.0, 0.4, 1.0], [0.0, 0.6, 1.0])
+
+
+def test_a_node_that_no_reading_reaches_but_by_rounding_is_not_read() -> None:
+    columns = np.array([[0.0, 0.0], [1e-12, 0.0], [1e-6, 0.0], [0.5, -1.0]])
+    assert read_nodes(columns).tolist() == [False, False, True, True]
+    assert not read_nodes(0.0 * columns).any()
 
 
 def test_what_is_not_determined_is_no_number() -> None:

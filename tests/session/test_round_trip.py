@@ -10,6 +10,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.summary import summarize
 
 DATA = Path(__file__).parents[1] / "data"
 NAMES = ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross")
@@ -49,6 +50,20 @@ def test_contents_are_those_of_the_files() -> None:
     assert session.readings.column("azimuth")[0] == -0.1418682455588457
     assert session.readings.displacement[2] == 0.15889252135411236
     assert session.readings.row[-1] == 287
+
+
+def test_a_summary_counts_what_each_setup_has(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    folder.set_field(3, "displacement", "")
+    session = read_session(folder.path)
+    found, time = summarize(session), session.readings.column("time")
+    assert (found.readings, found.missing, found.targets, found.problem) == (288, 1, 36, None)
+    assert [(one.id, one.readings, one.missing, one.repeats) for one in found.setups] == [
+        ("A", 72, 1, 2), ("B", 72, 0, 2), ("C", 72, 0, 2), ("D", 72, 0, 2),
+    ]  # fmt: skip
+    assert found.duration == time.max() - time.min()
+    for one, mine in zip(found.setups, (time[session.readings.setup == k] for k in range(4)), strict=True):
+        assert (one.first_time, one.last_time) == (mine.min(), mine.max())
 
 
 def test_missing_readings_are_kept_as_nan(session_folder) -> None:

@@ -261,12 +261,13 @@ def test_a_bad_machine_and_a_part_askew_are_not_refused() -> None:
         identify(session)
 
 
-def test_a_cloud_that_follows_no_place_is_no_part_that_lies_otherwise() -> None:
-    """Scatter of a third of the plate, a fifth of it along the places: nobody can say how it lies."""
+@pytest.mark.parametrize(("along", "scatter"), [(0.2, 0.2), (1.0, 0.02)])
+def test_a_cloud_that_follows_no_place_is_no_part_that_lies_otherwise(along: float, scatter: float) -> None:
+    """A third of the plate, a fifth of it along the places, or a turn closely but for a twentieth: not as it lies."""
     session, _ = plates.plate(1, holes=100)
     x, y = session.readings.position()[::2, :2].T
-    noise = 0.2 * np.random.default_rng(3).normal(size=(len(x), 2))
-    spoilt = plates.with_columns(session, (np.column_stack([-y - x, x - y]) * 0.2 + noise).reshape(-1))
+    noise = scatter * np.random.default_rng(3).normal(size=(len(x), 2))
+    spoilt = plates.with_columns(session, (np.column_stack([-y - x, x - y]) * along + noise).reshape(-1))
     with pytest.raises(ModelError) as caught:
         identify(spoilt)
     assert "degrees" not in str(caught.value) and "reversed" not in str(caught.value)

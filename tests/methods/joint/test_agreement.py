@@ -39,7 +39,8 @@ def test_sessions_of_one_machine_agree(several: SimpleNamespace, many: Any) -> N
     found = [_fitted(several, seed, ("tracker", "run", "grid")).agreement for seed in range(count)]
     # one in a hundred by chance
     assert sum(bool(entry.contradictions) for entry in found) <= stats.binom.isf(0.005, count, 0.01)
-    assert all(entry.comparisons >= 10 for entry in found)
+    # Readings that scatter less than declared make nothing better.
+    assert all(entry.comparisons >= 10 and entry.spread >= 1.0 for entry in found)
     assert "the sessions agree" in found[0].statement
 
 
@@ -76,6 +77,7 @@ def test_nothing_shared(several: SimpleNamespace) -> None:
     joint = identify_sessions(FitRequest((bare, bare), ("a", "b")))
     assert joint.agreement.comparisons == 0
     assert joint.agreement.p_value is None
+    assert joint.agreement.spread == 1.0
     assert "share no error motion" in joint.agreement.statement
 
 
@@ -169,6 +171,14 @@ def test_a_difference_has_the_value_and_uncertainty_of_its_least_squares() -> No
 ])  # fmt: skip
 def test_a_contradiction_names_who_and_what_else(others: tuple[str, ...], alike: tuple[str, ...], text: str) -> None:
     assert _sentence(Contradiction("a", others, "EXX", alike, 3e-6, 5e-7, "m", 1e-9)) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [("rad", "µrad"), ("1", "µm/m"), ("1/K", "µm/(m K)"), ("m/K", "µm/K"), ("rad/K", "µrad/K")],
+)
+def test_a_contradiction_has_the_unit_that_people_use(unit: str, shown: str) -> None:
+    assert f" by 3 ± 1 {shown} (95 %)" in _sentence(Contradiction("a", ("b",), "EXX", (), -3e-6, 5e-7, unit, 1e-9))
 
 
 def _with(session: Session, **said: object) -> Session:

@@ -13,7 +13,9 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
+from machine_tool_calibration.methods.joint.map import _rotary
 from machine_tool_calibration.methods.joint.model import _translated, _translation
+from machine_tool_calibration.model.model import Kind, Parameter, motion_value
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FlawSpec
@@ -95,6 +97,16 @@ def test_a_condition_on_a_table_says_the_same_of_one_with_more_nodes(several: Si
     # nothing of a table that is not there any more, nor of a sum that cancels
     assert _translated(weights, _translation((own, square), ())) == {"A.dead_path": weights["A.dead_path"]}
     assert _translated({"one": 1.0, "other": -1.0}, {"one": {"x": 1.0}, "other": {"x": 1.0}}) == {}
+
+
+def test_tables_of_a_rotary_axis_are_the_machines_motions_about_it() -> None:
+    """No linear axis, no squareness, nothing of one session alone."""
+    square = Parameter("A0C", "rad", shared=True, kind=Kind.SQUARENESS, owner="A0C")
+    own = motion_value("EBC", 0.5, "rad", shared=False)
+    every = (motion_value("EXX", 0.1, "m"), motion_value("ECC", 0.5, "rad"), square, own, Parameter("offset", "m"))
+    published = SimpleNamespace(theta=np.arange(5.0), covariance=4.0 * np.eye(5), determined=np.ones(5, dtype=bool))
+    found: Any = SimpleNamespace(assembly=SimpleNamespace(parameters=every), published=published)
+    assert _rotary(found) == {"rotary": {"ECC": {"nodes": [0.5], "value": [1.0], "value_u": [2.0]}}}
 
 
 def test_effect_of_one_session_only(several: SimpleNamespace) -> None:

@@ -102,7 +102,7 @@ def _affine(seen: Observations, plane: list[int]) -> Array | None:
     found, _, rank, _ = np.linalg.lstsq(columns.T, reading, rcond=1e-9)
     left = float(np.median(np.abs(reading - found @ columns)))
     moved = float(np.sqrt(np.mean((found[:4] @ columns[:4]) ** 2)))
-    return found[:4].reshape(2, 2) if rank == len(columns) and left <= _CLOSE * (moved or 1.0) else None
+    return found[:4].reshape(2, 2) if rank == len(columns) and left <= _CLOSE * moved else None
 
 
 def _lying(motion: Array, plane: list[int]) -> str | None:
