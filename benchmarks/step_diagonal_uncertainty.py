@@ -72,11 +72,8 @@ def simulated(case: Case, angular: float, seed: int) -> Simulated:
 
 def _turn_free(blocks: tuple[Array, Array, Array]) -> Array:
     """Projector off common rotations of all profiles."""
-    turns = [
-        np.concatenate([np.outer(b - b[0], np.cross(w, np.eye(3)[a])).ravel() for a, b in enumerate(blocks)])
-        for w in np.eye(3)
-    ]
-    columns = np.array(turns).T
+    along = np.concatenate([np.kron(b - b[0], axis).reshape(-1, 3) for axis, b in zip(np.eye(3), blocks, strict=True)])
+    columns = np.column_stack([np.cross(w, along).ravel() for w in np.eye(3)])
     return np.asarray(np.eye(len(columns)) - columns @ np.linalg.pinv(columns))
 
 

@@ -91,12 +91,16 @@ def test_a_session_is_known_however_its_table_is_laid_out(measurements: Path, tm
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
-    """Address of a cluster of two workers, which know nothing of this file."""
-    distributed = pytest.importorskip("distributed")
+    """Address of a cluster of two workers, which know nothing of this file; what ended two of them is not tried again.
+
+    By Dask's own choice it would be four: to start one takes two seconds.
+    """
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
     import cloudpickle
 
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    with distributed.LocalCluster(n_workers=2, **_LOCAL) as cluster:
+    once_more = dask.config.set({"distributed.scheduler.allowed-failures": 1})
+    with once_more, distributed.LocalCluster(n_workers=2, **_LOCAL) as cluster:
         yield _kept(cluster).scheduler_address
     cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
 

@@ -93,7 +93,7 @@ def dominant(
     readings = _uncertainty(session, "translations" if angles else model, 0.0, 0.0)
     still = _uncertainty(session, model, angular, 0.0) if angles else readings
     whole = _uncertainty(session, model, angular, drift) if drift else still
-    if not np.isfinite(readings + still + whole) or whole <= 0:
+    if not np.isfinite(readings + still + whole):
         return None
     shares = {
         "readings": min(readings**2 / whole**2, 1.0),

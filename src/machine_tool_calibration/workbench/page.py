@@ -38,6 +38,13 @@ _TEMPLATE = """{% extends base %}
 """
 
 
+class _Roots(pn.Template):  # type: ignore[misc]
+    def _init_doc(self, doc: Any = None, *more: Any, **named: Any) -> Any:
+        # At once: for each root by itself Bokeh would go through all models of the window.
+        with (doc or pn.state.curdoc).models.freeze():
+            return super()._init_doc(doc, *more, **named)
+
+
 def window(
     targets: Sequence[Path],
     own: Sequence[PhysicalEffect] = (),
@@ -51,7 +58,7 @@ def window(
     The place of every block of every page is a root of the document: whatever changes in a block, a browser lays out
     the whole root that it is in, figures of hidden pages too, which took seconds.
     """
-    page = pn.Template(_TEMPLATE)
+    page = _Roots(_TEMPLATE)
     for number, root in enumerate(_Window(targets, own, variant, feed, live).roots):
         page.add_panel(f"_block{number}", root)  # with another name Panel describes all of them anew for each
     return page

@@ -122,6 +122,17 @@ def test_dxf_polyline_with_bulge(read, drawing):
     np.testing.assert_allclose(normal[~arc], [[0, -1]] * int((~arc).sum()), atol=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1, 2, 4, 5, 6, 13, 14])
+def test_dxf_is_in_the_unit_that_the_drawing_says(read, drawing, unit):
+    from ezdxf import units
+
+    document, space, file = drawing(unit)
+    space.add_circle((0, 0), radius=0.02 * units.conversion_factor(units.M, document.units))
+    document.saveas(file)
+    position, _ = arrays(read("- {kind: file, path: part.dxf, material: inside, spacing: 5}\n"))
+    np.testing.assert_allclose(np.linalg.norm(position, axis=1), 0.02)
+
+
 def test_dxf_ellipse_and_unit(read, drawing):
     document, space, file = drawing(unit=0)
     space.add_ellipse((0, 0), major_axis=(2, 0), ratio=0.5)
