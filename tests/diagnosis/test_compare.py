@@ -2,12 +2,14 @@
 """The comparison of a model with its readings: figures against hand counts, statistics, and known faults."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import Comparison, compare
+from machine_tool_calibration.diagnosis.compare import Comparison, _scatter, compare
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -216,3 +218,9 @@ def test_readings_that_stand_out_are_counted_over_several_sessions() -> None:
     count = sum(len(one.outliers) for one in found.sessions)
     assert count > 1
     assert f" {count} readings do not belong to the rest" in in_words(found)
+
+
+@pytest.mark.parametrize(("reduced", "scatter"), [(0.25, 1.0), (4.0, 2.0)])
+def test_readings_that_scatter_less_than_declared_make_nothing_surer(reduced: float, scatter: float) -> None:
+    fit: Any = SimpleNamespace(joint=SimpleNamespace(reduced_chi_square=reduced))
+    assert _scatter(fit) == scatter

@@ -284,6 +284,7 @@ def test_every_effect_states_what_it_is() -> None:
         for coefficient in (*effect.coefficients, *effect.shapes):
             assert coefficient.low < coefficient.high
             assert coefficient.unit
+        assert getattr(effect, "limit", 1.0) > 0.0  # of harmonics
         # periods, frequencies, times, orders
         assert all(shape.low >= 0.0 < shape.step for shape in effect.shapes)
 

@@ -14,6 +14,7 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.build import Imported, import_table
 from machine_tool_calibration.importing.mapping import parse_mapping
+from machine_tool_calibration.methods.ball_bar.iso230_4 import _mean_path
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
@@ -151,6 +152,14 @@ def test_figures_are_those_of_iso_230_4() -> None:
     expanded = {one["name"]: one["U"] for one in content["figures"]}
     assert expanded["G_b"] == pytest.approx(2.0 * np.sqrt(2.0) * SIGMA)
     assert expanded["D"] == pytest.approx(1e-6)
+
+
+def test_of_several_turns_the_path_is_the_mean_at_each_angle() -> None:
+    angle = np.array([1.0, 2.0, 3.0])
+    path = _mean_path(np.concatenate([angle + 2.0 * np.pi, angle]), np.array([1.0, 2, 3, 5, 4, 3]), np.full(6, 0.5))
+    assert path.angle == pytest.approx(angle)
+    assert path.radial.tolist() == [3.0, 3.0, 3.0]
+    assert path.u == pytest.approx(np.full(3, 0.5 / np.sqrt(2.0)))
 
 
 def test_a_cause_has_no_figure_in_a_plane_in_which_it_does_not_act() -> None:

@@ -17,7 +17,7 @@ from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.noise import noise_of
-from machine_tool_calibration.residuals.places import alike_beside_p
+from machine_tool_calibration.residuals.places import _beside, _moran, alike_beside_p
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -83,6 +83,18 @@ def test_places_beside_each_other_are_alike_where_a_zone_is_off_and_not_where_ea
     alone, zone = (alike_beside_p(fitted("grid_plate", 6.0, zone=zone)) for zone in (False, True))
     assert alone is not None and alone > 1e-3
     assert zone is not None and zone < 1e-6
+
+
+def test_places_in_any_order_are_alike_by_chance_alone() -> None:
+    """Moran's I in standard deviations: zero and one over all orders of the same values (as of a normal sample)."""
+    rng = np.random.default_rng(3)
+    where = np.stack(np.meshgrid(np.arange(8.0), np.arange(6.0), [0.0]), axis=-1).reshape(-1, 3)
+    pairs, values = _beside(where, np.zeros(48, dtype=int), 4), rng.normal(size=48)
+    values -= values.mean()
+    found = [_moran(rng.permutation(values), pairs) for _ in range(1000)]
+    assert np.mean(found) == pytest.approx(0.0, abs=0.1)
+    assert np.std(found) == pytest.approx(1.0, abs=0.1)
+    assert _moran(np.sort(values), pairs) > 5.0
 
 
 def test_repeats_as_they_were_read_hold_what_runs_differ_by() -> None:

@@ -13,10 +13,13 @@ from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.importing.text_table import parse_form
 from machine_tool_calibration.reports.history_file import read_history
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation.machine_file import read_machine
 from machine_tool_calibration.simulation.site import read_site
 from machine_tool_calibration.simulation.spec import read_spec, spec_from
+
+from .. import plates
 
 Y, C = "session.yaml", "observations.csv"
 
@@ -217,3 +220,31 @@ def test_what_comes_from_no_file_has_no_place() -> None:
         spec_from(None, method="direct", fields={"noise": -1.0})
     with pytest.raises(CalibrationError, match=r"^skip must be at least 0, not -1$"):
         parse_form({"skip": -1})
+
+
+@pytest.mark.parametrize(
+    ("size", "u"),
+    [
+        ({"standard_uncertainty": 2e-6}, 2e-6),
+        ({"expanded": 4e-6, "coverage_factor": 2}, 2e-6),
+        ({"half_width": 3e-6, "distribution": "rectangular"}, 3e-6 / 3**0.5),
+        ({"half_width": 3e-6}, "a normal distribution has no ends"),
+        ({"expanded": 4e-6}, "belong together"),
+        ({"standard_uncertainty": 1e-6, "half_width": 1e-6}, "not standard_uncertainty and half_width"),
+    ],
+)
+def test_a_contributor_has_one_size(size: dict[str, Any], u: float | str) -> None:
+    content = {"name": "mount", "type": "B", "enters": "reading", "varies": "run", **size}
+    if isinstance(u, float):
+        assert Contributor.model_validate(content).u == pytest.approx(u)
+    else:
+        with pytest.raises(ValueError, match=u):
+            Contributor.model_validate(content)
+
+
+def test_an_instrument_reads_along_the_translation_that_is_the_first_term() -> None:
+    column = {"x": [0.0], "displacement": [0.0]}
+    assert plates.session(column, 1e-6, terms=["EYX", "EXX"]).description.sense == (0.0, 1.0, 0.0)
+    for terms in (["EAX"], ["C0Y"], []):
+        with pytest.raises(SessionError, match="must begin with a translation"):
+            plates.session(column, 1e-6, terms=terms).description.sense  # noqa: B018

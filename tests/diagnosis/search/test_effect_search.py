@@ -14,7 +14,7 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, _grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.findings import Size, _detectable, without_laws
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
@@ -210,3 +210,12 @@ def test_what_comes_with_the_direction_of_approach_is_not_what_a_warm_up_differs
     late = 0.3 * warm * scaled_values(pool.observations[0].clock)
     names = without_laws([found["warmup_y"], found[other]], pool, [warm, late])
     assert names == (("warmup_y", other) if kept else ("warmup_y",))
+
+
+def test_in_several_sessions_fewer_shapes_are_tried_from_end_to_end() -> None:
+    effect: Any = SimpleNamespace(shape_grid=lambda start: [(float(start + k),) for k in range(300)])
+    acting: Any = (0, 100)
+    grid = _grid(effect, acting)
+    assert len(grid) < 100 and (grid[0], grid[-1]) == ((0.0,), (399.0,))
+    assert np.ptp(np.diff(np.ravel(grid))) <= 1.0
+    assert len(_grid(effect, acting[:1])) == 300

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from machine_tool_calibration.instruments.drivers.ascii_line import LineParser, LineSplitter
 from machine_tool_calibration.instruments.drivers.driver import Sample
-from machine_tool_calibration.instruments.drivers.settings import Line, Value
+from machine_tool_calibration.instruments.drivers.settings import Line, Timeouts, Value
 
 PATTERN = r"(?P<value>\S+)\s+(?P<status>\w+)\s+(?P<beam>[01])"
 
@@ -72,3 +72,7 @@ def test_greetings_and_empty_lines_are_ignored() -> None:
 def test_any_text_is_a_finite_reading_or_none(text: str) -> None:
     parsed = parser(pattern="(?P<value>.*)", beam_ok=[], status_ok=None).parse(text, 7.0)
     assert parsed is None or (parsed.displacement is not None and math.isfinite(parsed.displacement))
+
+
+def test_times_that_are_not_said_are_such_as_may_be_said() -> None:
+    assert Timeouts.model_validate(Timeouts().model_dump()) == Timeouts()

@@ -15,6 +15,7 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
     LARGEST,
     NONE,
     SMALLEST,
+    SmallAngles,
     mean_shape,
     own_sizes,
     shape_covariance,
@@ -31,6 +32,13 @@ def test_random_functions_are_zero_at_first_and_of_size_one(share):
     assert covariance[0] == pytest.approx(np.zeros(7), abs=1e-15)
     assert np.mean(np.diag(covariance)) == pytest.approx(1.0)
     assert np.linalg.eigvalsh(covariance).min() > -1e-12
+
+
+def test_sizes_of_several_ratios_have_the_mean_of_their_squares():
+    nodes = ((np.linspace(0.0, 0.4, 5), 0), (np.linspace(0.0, 0.3, 4), 0))
+    one, mixed = SmallAngles((), nodes), SmallAngles((), nodes, (((1.0, 2.0), 0.25), ((3.0, 2.0), 0.75)))
+    expected = np.repeat([0.25 * 1.0 + 0.75 * 9.0, 4.0], [5, 4])
+    assert np.sum(mixed.root**2, axis=1) == pytest.approx(expected * np.sum(one.root**2, axis=1))
 
 
 def _by_hand(model):

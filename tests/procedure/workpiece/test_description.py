@@ -59,7 +59,7 @@ def test_line_and_points(read):
     position, normal = arrays(points)
     np.testing.assert_allclose(position[:5, 0], [0.01, 0.03, 0.05, 0.07, 0.09])
     np.testing.assert_allclose(normal[:5], [[0, 1]] * 5, atol=1e-12)
-    np.testing.assert_allclose(normal[5], [0.6, 0.8])
+    np.testing.assert_allclose((*position[5], *normal[5]), [0.001, 0.002, 0.6, 0.8])
 
 
 def test_points_fit_a_session(read):

@@ -88,5 +88,7 @@ def test_stylus_does_not_reach_into_corners():
     free = reachable(pocket, contour.segments, stylus_radius=0.003)
     corner = np.min(0.05 - np.abs(pocket.position) + (np.abs(pocket.position) > 0.0499), axis=1)
     assert np.array_equal(free, corner >= 0.003 - 1e-6)
+    kept = reachable(pocket, contour.segments, stylus_radius=0.003, clearance=0.001)
+    assert np.array_equal(kept, corner >= 0.004 - 1e-6)  # from other walls than the one that it touches
     block = probe_points(contour, "inside", 0.001)
     assert reachable(block, contour.segments, stylus_radius=0.003).all()

@@ -171,7 +171,7 @@ def _run_of_places(session: Session, setup: int) -> str:
 
 def _counted(steps: Array) -> set[tuple[float, ...]]:
     """Places in whole steps."""
-    return set(map(tuple, (np.round(steps) + 0.0).tolist()))
+    return set(map(tuple, np.round(steps).tolist()))
 
 
 def _vector(values: Iterable[float]) -> str:
