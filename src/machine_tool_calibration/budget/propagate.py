@@ -110,8 +110,8 @@ class Sum:
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty."""
-        return self.k * self.u
+        """Expanded uncertainty that is stated, as of `Budget.complete`."""
+        return self.k * max(self.u, self.u_identification)
 
     @property
     def where(self) -> str:

@@ -268,10 +268,10 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
         elif not spec_of(diagnosis.chosen.sessions[0]).reads_machine:  # of which the scatter is told in any case
             yield say("diagnosis.contradicted", ratio=ratio)
     if diagnosis.likely:
-        best = min((diagnosis.search.of(name) for name in diagnosis.likely), key=lambda one: one.rms_after)
-        most = best.rms_after**2 < (1.0 - priors.MOST_OF_THE_EXCESS) * rms(Pool(diagnosis.fits[0]).residuals) ** 2
-        told = say("diagnosis.most_is_of", name=best.name, left=quantity(best.rms_after, "m"))
-        yield together((_likeliest(diagnosis), told if most else say("diagnosis.none_accounts")))
+        most = min((diagnosis.search.of(name) for name in diagnosis.likely), key=lambda one: one.rms_after)
+        accounts = most.rms_after**2 < (1.0 - priors.MOST_OF_THE_EXCESS) * rms(Pool(diagnosis.fits[0]).residuals) ** 2
+        told = say("diagnosis.most_is_of", name=most.name, left=quantity(most.rms_after, "m"))
+        yield together((_likeliest(diagnosis), told if accounts else say("diagnosis.none_accounts")))
 
 
 def _dependence(structure: Structure) -> dict[str, str]:
