@@ -206,14 +206,14 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> mtcal.Fit:
 
 
 def test_tables_hold_together(part: mtcal.Fit) -> None:
-    """Shares make one, squares of the contributions the square of the sum, and twice that is U."""
+    """Shares make one, squares of the contributions the square of the sum; U is twice that, or what the readings show."""
     budget = part.budget(LINES, quantities=["position_error", "workpiece_form"])
     assert list(budget.contributors.index) == ["touch", "scale", "known besides the readings"]
     for (name, which), own in budget.contributions.groupby(["name", "which"]):
         told = budget.quantities.set_index(["name", "which"]).loc[(name, which)]
         assert own["share"].sum() == pytest.approx(1.0)
         assert np.sqrt((own["u"] ** 2).sum()) == pytest.approx(told["u"])
-        assert told["U"] == pytest.approx(2.0 * told["u"])
+        assert told["U"] == pytest.approx(2.0 * max(told["u"], told["u_identification"]))
     assert "position_error, U = " in repr(budget)
     assert "what they contribute" in budget.report()
     assert budget.document()["format"] == "mtcal-budget-result/1"

@@ -158,7 +158,7 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
     # Plan: what the next measurement would tell, and its plan in a folder.
     press("Plan")
     press("Look ahead")
-    page.get_by_text("What the next measurement would tell").wait_for()
+    page.get_by_role("heading", name="What the next measurement would tell").wait_for()
     press("Save the plan")
     page.get_by_text("Download observations.csv").wait_for()
     planned = pd.read_csv(hidden.parent / "mtcal_output" / "plan" / "observations.csv")
