@@ -206,7 +206,7 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> mtcal.Fit:
 
 
 def test_tables_hold_together(part: mtcal.Fit) -> None:
-    """Shares make one, squares of the contributions the square of the sum; U is twice that, or what the readings show."""
+    """Shares make one, squares of the contributions that of the sum; U is twice that, or what the readings show."""
     budget = part.budget(LINES, quantities=["position_error", "workpiece_form"])
     assert list(budget.contributors.index) == ["touch", "scale", "known besides the readings"]
     for (name, which), own in budget.contributions.groupby(["name", "which"]):
