@@ -100,8 +100,7 @@ class Diagnosis:
     @property
     def noisy(self) -> bool:
         """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
-        scatter = float(np.sqrt(self.fits[-1].reduced_chi_square)) * self.noise.declared
-        return self.noise.from_repeats is not None and self.noise.from_repeats > priors.AS_NOISY * scatter
+        return self.noise.is_all(self.noise.from_repeats, self.fits[-1].reduced_chi_square)
 
     @property
     def contradicted(self) -> bool:

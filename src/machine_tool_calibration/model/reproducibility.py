@@ -164,8 +164,9 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         some = np.flatnonzero(place % stride == 0)
         mine = groups(place[some])
         count = np.bincount(mine)
-        dof += int(np.sum(count - 1))
-        lost += len(place) - int(place.max(initial=-1)) - 1 - int(np.sum(count - 1))
+        free = int(np.sum(count - 1))
+        dof += free
+        lost += len(place) - int(place.max(initial=-1)) - 1 - free
         families = [family.columns()[:, some] for family in with_drift(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
         mean = np.array([np.bincount(mine, values) / count for values in both])

@@ -170,11 +170,10 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
 def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "scatter", "places"]:
     """Where readings scatter more than declared: nobody knows what does without repeats, these do, or places do."""
     noise = diagnosis.noise
-    repeats = noise.as_read if noise.as_read is not None else noise.from_repeats
-    if repeats is None:
+    if noise.as_read is None and noise.from_repeats is None:
         return "repeats"
-    scatter = float(np.sqrt(diagnosis.fits[-1].reduced_chi_square)) * noise.declared
-    return "scatter" if diagnosis.noisy or repeats > priors.AS_NOISY * scatter else "places"
+    as_read = noise.is_all(noise.as_read, diagnosis.fits[-1].reduced_chi_square)
+    return "scatter" if diagnosis.noisy or as_read else "places"
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy import linalg, special
 
 from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.session.catalogue import spec_of
@@ -34,6 +35,11 @@ class Noise:
     # what repeats of one place differ by as they were read, with all that differs from run to run; None without
     # repeats, and where each run counts from a zero of its own
     as_read: float | None = None
+
+    def is_all(self, repeats: float | None, reduced_chi_square: float) -> bool:
+        """Whether repeats, m, scatter as much as everything that a model with this reduced chi-square leaves."""
+        scatter = np.sqrt(reduced_chi_square) * self.declared
+        return repeats is not None and bool(repeats > priors.AS_NOISY * scatter)
 
 
 def noise_of(fit: Fit) -> Noise:

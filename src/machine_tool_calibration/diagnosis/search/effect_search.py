@@ -433,7 +433,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     out = []
     for own, noise in zip(fit.fits, every, strict=True):
         p, repeats, declared = noise.lack_of_fit_p, noise.from_repeats, noise.declared
-        if noise.as_read is not None and noise.as_read > priors.AS_NOISY * np.sqrt(fit.reduced_chi_square) * declared:
+        if noise.is_all(noise.as_read, fit.reduced_chi_square):
             continue  # a place is not even the same from run to run
         if p is not None and p < priors.LACK_OF_FIT_P and repeats is not None:
             share = max(1.0 - (repeats / declared) ** 2 / fit.reduced_chi_square, 0.0)
