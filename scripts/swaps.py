@@ -139,6 +139,7 @@ def stages(path: Path) -> Iterator[list[Path]]:
     yield [file for file in within if file not in near and file not in folder]
     if path.name == "spec.py":  # what a method asks of its sessions is tested with the sessions
         yield sorted((tests / "session").glob("test_*.py"))
+    yield [tests / "test_constants.py"]
 
 
 class _FirstFailure:

@@ -13,8 +13,6 @@ from machine_tool_calibration.errors import CalibrationError, ModelError, Sessio
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 GOOD = {"name": "a", "type": "B", "enters": "reading", "varies": "run"}
 
 

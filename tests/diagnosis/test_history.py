@@ -7,8 +7,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import joint_models
 from machine_tool_calibration.simulation import SimulationSpec, simulate
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 
 def entry(*effects: str, rms: float = 1e-6, data: str = "sha256-1", **changes: object) -> Entry:
     fields: dict[str, object] = {

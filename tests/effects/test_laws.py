@@ -29,7 +29,6 @@ from machine_tool_calibration.simulation import (
 )
 
 from .. import plates
-from ..constants import test_constants_are_positive  # noqa: F401
 
 K, FIXED = 9e-6, 0.25
 

@@ -8,7 +8,6 @@ import pytest
 
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 
-from ..constants import test_constants_are_positive  # noqa: F401
 from ..inner_products import N, columns, gram_of, log_marginal
 
 

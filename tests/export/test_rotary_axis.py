@@ -14,8 +14,6 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.simulation import RotaryPlan, SimulationSpec, simulate
 from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Flaw
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 SIZE, HALF = 6e-5, 2e-5
 
 

@@ -12,8 +12,6 @@ from machine_tool_calibration.instruments.touch import Part, judge
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.simulation import flaws_reading as edlen
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 TEMPERATURE, PRESSURE, HUMIDITY = (
     grid.ravel() for grid in np.meshgrid([16.0, 20.0, 24.0], [9.4e4, 1.013e5, 1.04e5], [0.0, 0.4, 0.7])
 )

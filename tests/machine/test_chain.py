@@ -10,8 +10,6 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import interpolation
 from machine_tool_calibration.model.rigid_body import MachineTable, axis_nodes, linear_axis_errors
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 
 @pytest.mark.parametrize(
     ("text", "workpiece_side", "tool_side"),

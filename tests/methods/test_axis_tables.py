@@ -16,8 +16,6 @@ from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 NODES = np.array([-0.1, 0.1, 0.5])
 RNG = np.random.default_rng(8)
 NAMES = [f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC"]

@@ -16,8 +16,6 @@ from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 LIMIT = 2e-4
 SIGMA = 1e-7
 MAP = Parameter("EXX(0.4)", "m", kind=Kind.MOTION, owner="EXX")

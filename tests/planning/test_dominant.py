@@ -18,8 +18,6 @@ from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Amplitudes, MachineSpec, SimulationSpec, simulate
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 Simulated = Callable[..., Session]
 THREE = {"diagonals": ("ppp", "npp", "pnp")}
 LONG = {"step": (0.05, 0.05, 0.05), "blocks": 12}

@@ -15,8 +15,6 @@ from machine_tool_calibration.procedure import parse_procedure, plan, read_proce
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, brake, check_command, move
 from machine_tool_calibration.procedure.workpiece import read_workpiece
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 CONFIG = Path(__file__).parents[2] / "config"
 
 

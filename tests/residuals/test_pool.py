@@ -7,8 +7,6 @@ from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 
 def test_runs_and_setups_of_several_sessions_are_different_ones() -> None:
     sessions = tuple(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed)).session for seed in (1, 2))

@@ -7,7 +7,6 @@ import pytest
 
 from machine_tool_calibration.session import catalogue
 
-from ..constants import test_constants_are_positive  # noqa: F401
 from ..own_method import announced, forget
 
 

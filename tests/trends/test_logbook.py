@@ -22,8 +22,6 @@ from machine_tool_calibration.trends.logbook import Entry, Logbook, date_of, ent
 from machine_tool_calibration.trends.statement import Size, sizes_of
 from machine_tool_calibration.trends.trend import trend
 
-from ..constants import test_constants_are_positive  # noqa: F401
-
 
 @pytest.fixture(scope="module")
 def measured() -> tuple[Session, Entry]:
