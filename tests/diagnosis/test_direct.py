@@ -188,18 +188,32 @@ def test_effects_that_take_each_other_back_are_not_named() -> None:
     assert "since warmup_z cannot be it" in found.refused["thermal_lag_z"]
 
 
-def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> None:
-    """What the frame does follows bed and nozzle, the chamber's sensor some of it."""
+def frame_over_a_bed() -> tuple[Array, Array, dict[str, Array]]:
+    """Times, how a frame moves that follows bed and nozzle, and the chamber's sensor some, and their temperatures."""
     time = 7.0 * np.arange(300)
     bed = followed(time, np.interp(time, [0, 300, 480, 1500, 2000], [26.0, 26.0, 70.0, 70.0, 60.0]), 30.0)
     nozzle = followed(time, np.interp(time, [0, 300, 420, 1500, 1900], [30.0, 30.0, 220.0, 220.0, 80.0]), 20.0)
     chamber = 26.0 + 8.0 * (followed(time, bed, 900.0) - 26.0) / 44.0
     moved = 1e-6 * (1.3 * chamber + 0.64 * followed(time, bed, 50.0) + 0.156 * followed(time, nozzle, 120.0))
-    found = diagnose(frame_that_warms(time, moved, temperature_z=chamber, bed=bed, nozzle=nozzle))
+    return time, moved, {"temperature_z": chamber, "bed": bed, "nozzle": nozzle}
+
+
+def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> None:
+    time, moved, warm = frame_over_a_bed()
+    # Names with spaces are those of no effect.
+    unnamed = {"temperature_z": warm["temperature_z"], "the bed": warm["bed"], "the nozzle": warm["nozzle"]}
+    found = diagnose(frame_that_warms(time, moved, **unnamed))
     # The expansion is there; the rest follows the bed, and a drift may be in it.
     assert found.verdict == "missing_effect" and "thermal_expansion_z" in found.accepted
     assert "thermal_lag_z" not in found.accepted
-    assert any(left.covariate == "bed" and left.share > 0.8 for left in found.search.left)
+    assert any(left.covariate == "the bed" and left.share > 0.8 for left in found.search.left)
+
+
+def test_a_frame_that_follows_bed_and_nozzle_has_both_named() -> None:
+    time, moved, warm = frame_over_a_bed()
+    found = diagnose(frame_that_warms(time, moved, **warm))
+    assert set(found.accepted) == {"follows_late_bed_z", "follows_late_nozzle_z"}
+    assert found.fits[-1].reduced_chi_square < 1.2
 
 
 def test_reversal_of_no_simple_form_is_said_place_by_place() -> None:

@@ -90,7 +90,10 @@ def _not_themselves(
     names: tuple[str, ...],
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> dict[str, str]:
-    """Why some of the effects are not what is missing, by name: the last if it has no size, and of those that decay.
+    """Why some of the effects are not what is missing, by name: those that have no size, or of what decays no sense.
+
+    Of those that have no size beside the others, or take each other back, the one that is needed least: without it the
+    others may be what is missing.
 
     Args:
         search: what was found.
@@ -98,20 +101,32 @@ def _not_themselves(
         names: ids of effects that are all in the model.
         fit_with: the fit with effects.
     """
-    after, out, known = fit_with(names).joint, dict[str, str](), {f.name for f in search.findings if f.rank}
-    if not _sized(after, names[-1]) and search.of(names[-1]).p_value > priors.NO_CHANCE:
-        return {names[-1]: say("undetermined.no_size_beside")}
-    for name in (name for name in names if search.of(name).candidate.decays):
-        # What it changes that the model does not absorb, and the residual.
-        squares = np.diag(Pool(before).screen(effect_signal(after, name)[0][None]).gram)
-        special_cases = known.intersection(search.of(name).candidate.contains)
-        instead = [tuple(case if n == name else n for n in names) for case in special_cases]
-        if not _sized(after, name):
-            out[name] = say("undetermined.no_size_beside")
-        elif squares[0] > priors.TAKEN_BACK**2 * squares[-1]:
-            out[name] = say("undetermined.taken_back")
-        elif any(fit_with(ids).joint.solution.chi_square < after.solution.chi_square for ids in instead):
-            out[name] = say("undetermined.less_than_simpler", names=together(sorted(special_cases), say("text.and")))
+
+    def chi_square(ids: tuple[str, ...]) -> float:
+        return fit_with(ids).joint.solution.chi_square
+
+    def least_needed(some: Sequence[str]) -> str:
+        return min(some, key=lambda one: chi_square(tuple(n for n in names if n != one)) if len(some) > 1 else 0.0)
+
+    after, last = fit_with(names).joint, names[-1]
+    decaying = [name for name in names if search.of(name).candidate.decays]
+    # What no chance makes is there, though repeats leave room for a size of zero.
+    sure = {last} if search.of(last).p_value <= priors.NO_CHANCE and last not in decaying else set[str]()
+    unsized = [name for name in names if name not in sure and not _sized(after, name)]
+    if unsized:
+        return {least_needed(unsized): say("undetermined.no_size_beside")}
+    if not decaying:
+        return {}
+    # What each changes that the model does not absorb, and the residual.
+    squares = np.diag(Pool(before).screen(np.array([effect_signal(after, name)[0] for name in decaying])).gram)
+    multiple = [n for n, own in zip(decaying, squares, strict=False) if own > priors.TAKEN_BACK**2 * squares[-1]]
+    if multiple:
+        return {least_needed(multiple): say("undetermined.taken_back")}
+    out, known = dict[str, str](), {f.name for f in search.findings if f.rank}
+    for name in decaying:
+        cases = sorted(known.intersection(search.of(name).candidate.contains))
+        if any(chi_square(tuple(c if n == name else n for n in names)) < after.solution.chi_square for c in cases):
+            out[name] = say("undetermined.less_than_simpler", names=together(cases, say("text.and")))
     return out
 
 

@@ -296,7 +296,8 @@ def _possible(
         )
         names = [name for name in search.accepted if name in possible]
         fitted, ruled_out, impossible = with_probable(names, search, predicted, first, fit_with)
-        possible = {*names, *(case for name in ruled_out for case in simpler(search.of(name).candidate, fit_with))}
+        cases = {case for name in ruled_out for case in simpler(search.of(name).candidate, fit_with)}
+        possible = {candidate.name for candidate in candidates} if cases else set(names)
         refused |= ruled_out
         gone += map(search.of, ruled_out)
         if not ruled_out:

@@ -19,6 +19,7 @@ from machine_tool_calibration.effects.pointer_axis_offset import PointerAxisOffs
 from machine_tool_calibration.effects.pointer_radial_error import PointerRadialError
 from machine_tool_calibration.effects.pointer_zero_offset import PointerZeroOffset
 from machine_tool_calibration.effects.probe_pretravel import ProbePretravel
+from machine_tool_calibration.effects.recorded import recorded_effect, recorded_effects
 from machine_tool_calibration.effects.refractive_index import RefractiveIndex
 from machine_tool_calibration.effects.retroreflector_form import RetroreflectorForm
 from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
@@ -82,14 +83,22 @@ def _plugins() -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def catalogue(own: Sequence[Effect] = ()) -> dict[str, Effect]:
-    """All effects by id: built-in, of plugins, and the user's own; a later one does not replace an earlier one.
+def catalogue(own: Sequence[Effect] = (), recorded: Sequence[str] = ()) -> dict[str, Effect]:
+    """All effects by id: built-in, of plugins, of what was recorded, and the user's own; none replaces an earlier one.
 
     A ModelError if one of the user's own has the id of another effect.
+
+    Args:
+        own: the user's own effects.
+        recorded: names of the sessions' columns: those that no other effect takes have theirs.
     """
     out = {effect.id: effect for effect in _built_in()}
     for effect in _plugins():
         out.setdefault(effect.id, effect)
+    if recorded:
+        taken = {name for effect in out.values() for name in (*effect.needs, *effect.covariates)}
+        for effect in recorded_effects(name for name in recorded if name not in taken):
+            out.setdefault(effect.id, effect)
     for effect in own:
         if effect.id in out:
             raise ModelError(f"the effect {effect.id!r} is in the catalogue already; give yours another name")
@@ -101,6 +110,8 @@ def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]
     """The effects of these ids; a ModelError if one is unknown or named twice."""
     known = catalogue(own)
     for k, name in enumerate(ids):
+        if name not in known and (of_recorded := recorded_effect(name)) is not None:
+            known[name] = of_recorded
         if name not in known:
             hint = did_you_mean(name, known) or "; `mtcal effects` lists them"
             raise ModelError(f"unknown effect {name!r}{hint}")

@@ -135,9 +135,12 @@ class AxisEffect(Effect):
         for texts in ("needs", "covariates", "contains"):
             setattr(self, texts, tuple(map(self._named, getattr(self, texts))))
 
+    @property
+    def _names(self) -> dict[str, str]:
+        return {"axis": self.axis, "AXIS": self.axis.upper(), "name": self.name}
+
     def _named(self, text: str) -> str:
-        named = {"axis": self.axis, "AXIS": self.axis.upper(), "name": self.name}
-        return text.of(**named) if isinstance(text, Said) else text.format(**named)
+        return text.of(**self._names) if isinstance(text, Said) else text.format(**self._names)
 
     def along(self, observations: Observations) -> Array:
         """(n,) the part of the linear axis's direction that each reading senses."""

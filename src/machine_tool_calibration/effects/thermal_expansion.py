@@ -33,12 +33,12 @@ class ThermalExpansion(AxisEffect):
     )
     needs: tuple[str, ...] = ("{axis}", "temperature_{axis}")
 
-    def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
-        """(n,) of the structure, degrees Celsius: that of the axis's sensor."""
-        return observations.readings.column(f"temperature_{self.axis}")
+    def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
+        """(n,) temperature of the structure over the reference, K: that of the axis's sensor."""
+        return observations.readings.column(f"temperature_{self.axis}") - REFERENCE_TEMPERATURE
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Position times excess temperature, and minus the excess temperature, along the axis."""
-        excess = self.temperature(observations, shape) - REFERENCE_TEMPERATURE
+        excess = self.excess(observations, shape)
         along = self.along(observations)
         return np.asarray([excess * observations.readings.column(self.axis) * along, -excess * along])

@@ -28,9 +28,9 @@ class ThermalLag(LateEffect, ThermalExpansion):
     contains = (ThermalExpansion.id,)
     seldom = True
 
-    def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
+    def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """What follows the sensor's."""
-        return followed(observations.readings.column("time"), super().temperature(observations, shape), shape[0])
+        return followed(observations.readings.column("time"), super().excess(observations, shape), shape[0])
 
 
 def followed(time: Array, value: Array, lag: float) -> Array:

@@ -72,9 +72,14 @@ class FitRequest:
         return find_effects(self.effects, self.own)
 
     @property
+    def known(self) -> dict[str, Effect]:
+        """All effects by id: the catalogue, those of what was recorded, and the user's own."""
+        return catalogue(self.own, list(dict.fromkeys(name for s in self.sessions for name in s.readings.columns)))
+
+    @property
     def absent(self) -> list[Effect]:
-        """All other effects that are known."""
-        return [effect for effect in catalogue(self.own).values() if effect.id not in self.effects]
+        """All that are not in the model."""
+        return [effect for effect in self.known.values() if effect.id not in self.effects]
 
     def base(self, session: Session) -> Built:
         """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Added, Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
@@ -89,7 +88,7 @@ def assumed_effects(diagnosis: Diagnosis) -> dict[str, SizedEffect]:
 def present_effects(diagnosis: Diagnosis) -> list[SizedEffect]:
     """Effects that were in the model from the start, as it holds them."""
     fit = diagnosis.fits[0].fits[0]
-    known = catalogue(diagnosis.chosen.own)
+    known = diagnosis.chosen.known
     values = {p.name: float(p.reference + v) for p, v in zip(fit.model.parameters, fit.theta, strict=True)}
     out = []
     for term in fit.model.terms:

@@ -12,7 +12,6 @@ from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
-from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
@@ -43,7 +42,7 @@ class Evaluation:
     @cached_property
     def titles(self) -> dict[str, str]:
         """What each effect is called, by its id: of the catalogue and the user's own."""
-        return {name: effect.title for name, effect in catalogue(self.measured.chosen.own).items()}
+        return {name: effect.title for name, effect in self.measured.chosen.known.items()}
 
 
 def evaluate(

@@ -97,18 +97,18 @@ def test_terms_that_the_machine_does_not_have(direct: SimpleNamespace, terms: li
 
 def test_nodes_are_the_positions_or_some_of_them() -> None:
     few = np.repeat(np.linspace(0.0, 0.4, 9), 4)
-    np.testing.assert_allclose(nodes_from(few), np.unique(few), atol=1e-12)
+    np.testing.assert_allclose(nodes_from(few, len(few)), np.unique(few), atol=1e-12)
     many = np.sort(np.random.default_rng(0).uniform(0.0, 0.4, 300))
-    nodes = nodes_from(many)
+    nodes = nodes_from(many, len(many))
     assert len(nodes) <= 21
     assert np.isin(np.round(nodes, 9), np.round(many, 9)).all()
     # As many as there are readings to fill: each position twice for each table that the axis has.
     sixty = np.linspace(0.0, 0.6, 60)
-    assert [len(nodes_from(np.repeat(sixty, n), unknowns)) for n, unknowns in ((1, 1), (2, 1), (2, 2), (4, 2))] == [
+    assert [len(nodes_from(np.repeat(sixty, n), n * 60 / k)) for n, k in ((1, 1), (2, 1), (2, 2), (4, 2))] == [
         21, 60, 21, 60
     ]  # fmt: skip
     # readings a hair apart are one position
-    assert len(nodes_from(np.concatenate([few, few + 1e-5]))) == 9
+    assert len(nodes_from(np.concatenate([few, few + 1e-5]), 2 * len(few))) == 9
 
 
 ALL = ("EXX", "EYX", "EXY", "EYY", "C0Y")

@@ -116,19 +116,29 @@ _NODES_OF_MANY, _NODES_OF_FEW = 21, 5
 _MOST_NODES = 101
 
 
-def nodes_from(positions: Array, unknowns_per_node: int = 1, many: int = _NODES_OF_MANY) -> Array:
-    """Nodes of a table from the positions (n,) at which an axis was read that has so many tables, m.
+def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Array:
+    """Nodes of a table from the positions (n,) at which an axis was read, m.
 
-    The positions themselves where each is read at least twice per unknown, or there are few; otherwise as many of
-    them as `many`, spread evenly, so that every node is at a reading.
+    The positions themselves where there are few, or at least twice as many readings of each table (`count`); otherwise
+    as many of them as `many`, spread evenly, so that every node is at a reading.
     """
     nodes = distinct_nodes(positions)
-    most = _MOST_NODES if len(positions) >= 2 * len(nodes) * unknowns_per_node else _NODES_OF_MANY
+    most = _MOST_NODES if count >= 2 * len(nodes) else _NODES_OF_MANY
     return nodes if len(nodes) <= most else thinned(nodes, many)
 
 
-def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
-    """Tables of the motions (EXX, C0Y) that a session names; a ModelError if one is unknown, twice, or of no axis."""
+def asked_tables(
+    chain: Chain, terms: Sequence[str], position: Array, count: int | None = None
+) -> tuple[MachineTable, ...]:
+    """Tables of the motions (EXX, C0Y) that a session names; a ModelError if one is unknown, twice, or of no axis.
+
+    Args:
+        chain: the machine's axes.
+        terms: the names.
+        position: (n, 3) where readings were taken, m.
+        count: readings by which nodes are spread; n if None. With those that were set aside, so that these make no
+            table coarser.
+    """
     for k, name in enumerate(terms):
         if name in terms[:k]:
             raise ModelError(f"terms names {name!r} twice")
@@ -136,16 +146,18 @@ def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[M
             if axis not in chain.linear:
                 raise ModelError(f"terms names {name!r}, but the chain has no linear axis {axis}")
     axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
-    many = _NODES_OF_MANY
-    if len(axes) * many >= len(position):  # too many for scattered places that were read once: two readings for a node
-        many = max(_NODES_OF_FEW, len(position) // (2 * len(axes)))
+    many, count = _NODES_OF_MANY, count or len(position)
+    if len(axes) * many >= count:  # too many for scattered places that were read once: two readings for a node
+        many = max(_NODES_OF_FEW, count // (2 * len(axes)))
     tables = []
     for name in terms:
         if name in SQUARENESS:
             tables.append(MachineTable(chain, name))
             continue
         axis = parse_motion(name).axis
-        tables.append(MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], axes.count(axis), many)))
+        tables.append(
+            MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], count / axes.count(axis), many))
+        )
     return tuple(tables)
 
 
@@ -193,7 +205,7 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
 def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: bool = False) -> DirectModel:
     """The model, also with other machine errors (`terms`) than the session names; raises as `build`."""
     description = session.description.as_a(Direct)
-    readings = _usable(session.readings)
+    readings, count = _usable(session.readings), len(_usable(session.as_recorded.readings))
     position = readings.position()
     direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
     length = np.linalg.norm(direction, axis=1)
@@ -204,7 +216,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
     asked, chain = description.terms if terms is None else tuple(terms), description.machine.kinematics
     if free:
         return _free(observations, setups, point_errors(chain, position, sensed_axes(direction)))
-    kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position))
+    kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position, count))
     constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
     laid_down = {name for constraint in constraints for name in constraint.weights}
     unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An axis follows a quantity of the user's own that was recorded: e_x = (quantity - reference) (k x - q)."""
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE, ThermalExpansion
+from machine_tool_calibration.effects.thermal_lag import ThermalLag
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
+from machine_tool_calibration.session.table import NUMERIC_COLUMNS
+from machine_tool_calibration.words import say
+
+# m, over all that was recorded of the quantity: what a frame grows by at most (`effects.warmup`).
+_LARGEST = 5e-4
+_LINEAR = "xyz"
+_TEMPERATURE = "temperature_"
+_ID = re.compile(rf"follows_(?P<late>late_)?(?P<column>[A-Za-z_]\w*)_(?P<axis>[{_LINEAR}])")
+
+
+class Follows(ThermalExpansion):
+    """An axis is displaced, and its scale grows, in proportion to a column that the session has beside the known ones.
+
+    Controls compensate the like by temperatures of spindle, bed or column (ISO 230-3); load and speed act alike. A
+    temperature (`temperature_…`) counts from 20 degrees Celsius, anything else from its mean over the readings.
+    Coefficients are per unit of the column.
+    """
+
+    id = "follows_{column}_{axis}"
+    title = say("effect.follows")
+    formula = say("formula.follows")
+    source = "ISO 230-3, thermal distortion by temperatures of the structure"
+    needs: tuple[str, ...] = ("{axis}", "{column}")
+    tolerance = 0.3  # what grows is warm elsewhere than at the sensor, and has more than one time constant
+
+    def __init__(self, column: str, axis: str) -> None:
+        """That of one column and a linear axis."""
+        self.column = column
+        super().__init__(axis)
+
+    @property
+    def _names(self) -> dict[str, str]:
+        return super()._names | {"column": self.column}
+
+    def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
+        """(n,) of the column over its reference."""
+        values = observations.readings.column(self.column)
+        return values - (REFERENCE_TEMPERATURE if self.column.startswith(_TEMPERATURE) else values.mean())
+
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
+        """A shift, and a scale where the axis moves; as large as a frame's growth over what was recorded."""
+        over = _LARGEST / max(float(np.ptp(observations.readings.column(self.column))), 1e-12)
+        extent = float(np.ptp(observations.readings.column(self.axis)))
+        per_unit = "/K" if self.column.startswith(_TEMPERATURE) else ""
+        meaning = say("coefficient.follows", column=self.column)
+        shift = Coefficient("q", f"m{per_unit}", -over, over, meaning)
+        if extent < SAME_POSITION:
+            return (shift,)
+        scale = Coefficient("k", f"1{per_unit}", -over / extent, over / extent, say("coefficient.follows_scale"))
+        return (shift, scale)
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Those of the thermal expansion, the shift first; without the scale where the axis does not move."""
+        return super().columns(observations, shape)[::-1][: len(self.coefficients_for(observations, shape))]
+
+
+class FollowsLate(ThermalLag, Follows):
+    """The same behind the column, with a first-order lag: what is heavy follows a sensor on its skin."""
+
+    id = "follows_late_{column}_{axis}"
+    title = say("effect.follows_late")
+    formula = say("formula.follows_late")
+    needs = (*Follows.needs, "time")
+    contains = (Follows.id,)
+
+
+def recorded_effects(columns: Iterable[str]) -> tuple[Effect, ...]:
+    """The effects of those columns, by name, that are none of the known ones."""
+    own = [column for column in columns if column not in NUMERIC_COLUMNS]
+    every = [effect(column, axis) for column in own for axis in _LINEAR for effect in (Follows, FollowsLate)]
+    return tuple(effect for effect in every if _ID.fullmatch(effect.id))
+
+
+def recorded_effect(name: str) -> Effect | None:
+    """The effect of this id, such as `follows_bed_z`; None if it is none of these."""
+    found = _ID.fullmatch(name)
+    return None if found is None else (FollowsLate if found["late"] else Follows)(found["column"], found["axis"])
