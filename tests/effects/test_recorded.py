@@ -24,12 +24,12 @@ TIME = 8.0 * np.arange(RUNS * len(PLACES))
 SPINDLE = followed(TIME, np.where((TIME // 500.0) % 2, 40.0, 22.0), 200.0)
 
 
-def axis(shift: Array, seed: int = 0) -> Session:
-    """A session along X that is displaced by (n,) metres, with a column `spindle`."""
+def axis(shift: Array, seed: int = 0, column: str = "spindle") -> Session:
+    """A session along X that is displaced by (n,) metres, with a column."""
     x, rng = np.tile(PLACES, RUNS), np.random.default_rng(seed)
     names = ("gx", "gy", "gz", "y", "z")
     columns = dict(zip(names, np.tile([[1.0], [0.0], [0.0], [0.0], [0.0]], len(x)), strict=True))
-    columns |= {"x": x, "time": TIME, "spindle": SPINDLE}
+    columns |= {"x": x, "time": TIME, column: SPINDLE}
     columns["displacement"] = 3e-6 * np.sin(9.0 * x) + shift + rng.normal(scale=SIGMA, size=len(x))
     return plates.session(columns, SIGMA, "offset", ["EXX"], np.repeat(np.arange(RUNS), len(PLACES)), "A")
 
@@ -58,6 +58,14 @@ def test_it_is_named_where_it_acts_and_only_there() -> None:
     assert diagnose(axis(grown(SPINDLE), 1)).accepted == ("follows_spindle_x",)
     for seed in range(4):
         assert diagnose(axis(np.zeros(len(TIME)), seed)).accepted == ()
+
+
+def test_an_axis_without_a_sensor_may_follow_the_air() -> None:
+    session = axis(grown(SPINDLE), 1, "temperature_air")
+    assert diagnose(session).accepted == ("follows_temperature_air_x",)
+    with_sensor = session.readings.columns | {"temperature_x": followed(TIME, SPINDLE, 900.0)}
+    found = diagnose(session.with_readings(replace(session.readings, columns=with_sensor)))
+    assert found.excluded["follows_temperature_air_x"] == "the column temperature_x was recorded"
 
 
 def test_an_axis_that_stands_has_no_scale() -> None:

@@ -122,12 +122,33 @@ def _not_themselves(
     multiple = [n for n, own in zip(decaying, squares, strict=False) if own > priors.TAKEN_BACK**2 * squares[-1]]
     if multiple:
         return {least_needed(multiple): say("undetermined.taken_back")}
-    out, known = dict[str, str](), {f.name for f in search.findings if f.rank}
-    for name in decaying:
-        cases = sorted(known.intersection(search.of(name).candidate.contains))
-        if any(chi_square(tuple(c if n == name else n for n in names)) < after.solution.chi_square for c in cases):
-            out[name] = say("undetermined.less_than_simpler", names=together(cases, say("text.and")))
-    return out
+    known = {f.name for f in search.findings if f.rank}
+    cases = {name: sorted(known.intersection(search.of(name).candidate.contains)) for name in decaying}
+    instead = {
+        (n, case): chi_square(tuple(case if k == n else k for k in names)) for n in decaying for case in cases[n]
+    }
+    best = min(instead, key=lambda one: instead[one], default=None)
+    if best is None or instead[best] >= after.solution.chi_square:
+        return {}
+    return {best[0]: say("undetermined.less_than_simpler", names=together(cases[best[0]], say("text.and")))}
+
+
+def needless(
+    names: Sequence[str], fitted: Sequence[FittedSessions], fit_with: Callable[[tuple[str, ...]], FittedSessions]
+) -> bool:
+    """Whether those of some effects that can be added explain nearly all that all of them explain together.
+
+    Args:
+        names: of all of them.
+        fitted: the first model and one after every one that can be added.
+        fit_with: the fit with effects.
+    """
+    try:
+        every = fit_with(tuple(names)).joint.solution.chi_square
+    except ModelError:
+        return False
+    first, rest = (one.joint.solution.chi_square for one in (fitted[0], fitted[-1]))
+    return first - rest >= priors.NEARLY_ALL * (first - every)
 
 
 def simpler(candidate: Candidate, fit_with: Callable[[tuple[str, ...]], FittedSessions]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import threadpoolctl
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.adding import simpler, with_probable
+from machine_tool_calibration.diagnosis.adding import needless, simpler, with_probable
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
@@ -296,11 +296,12 @@ def _possible(
         )
         names = [name for name in search.accepted if name in possible]
         fitted, ruled_out, impossible = with_probable(names, search, predicted, first, fit_with)
-        cases = {case for name in ruled_out for case in simpler(search.of(name).candidate, fit_with)}
-        possible = {candidate.name for candidate in candidates} if cases else set(names)
         refused |= ruled_out
-        gone += map(search.of, ruled_out)
-        if not ruled_out:
+        if ruled_out and not needless(names, fitted, fit_with):
+            cases = {case for name in ruled_out for case in simpler(search.of(name).candidate, fit_with)}
+            possible = {candidate.name for candidate in candidates} if cases else set(names)
+            gone += map(search.of, ruled_out)
+        else:
             # The refused keep what was found of them.
             search = replace(search, findings=in_order([*search.findings, *gone]))
             instead = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))

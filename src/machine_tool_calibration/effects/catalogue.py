@@ -96,7 +96,8 @@ def catalogue(own: Sequence[Effect] = (), recorded: Sequence[str] = ()) -> dict[
     for effect in _plugins():
         out.setdefault(effect.id, effect)
     if recorded:
-        taken = {name for effect in out.values() for name in (*effect.needs, *effect.covariates)}
+        # Of the air others take the refractive index.
+        taken = {name for effect in out.values() if effect.kind == "position" for name in effect.needs}
         for effect in recorded_effects(name for name in recorded if name not in taken):
             out.setdefault(effect.id, effect)
     for effect in own:

@@ -17,16 +17,16 @@ from machine_tool_calibration.words import say
 # m, over all that was recorded of the quantity: what a frame grows by at most (`effects.warmup`).
 _LARGEST = 5e-4
 _LINEAR = "xyz"
-_TEMPERATURE = "temperature_"
+_TEMPERATURE, _AIR = "temperature_", "temperature_air"
 _ID = re.compile(rf"follows_(?P<late>late_)?(?P<column>[A-Za-z_]\w*)_(?P<axis>[{_LINEAR}])")
 
 
 class Follows(ThermalExpansion):
     """An axis is displaced, and its scale grows, in proportion to a column that the session has beside the known ones.
 
-    Controls compensate the like by temperatures of spindle, bed or column (ISO 230-3); load and speed act alike. A
-    temperature (`temperature_…`) counts from 20 degrees Celsius, anything else from its mean over the readings.
-    Coefficients are per unit of the column.
+    Controls compensate the like by temperatures of spindle, bed or column (ISO 230-3); load and speed act alike. Where
+    the axis has no sensor of its own it may follow the air. A temperature (`temperature_…`) counts from 20 degrees
+    Celsius, anything else from its mean over the readings. Coefficients are per unit of the column.
     """
 
     id = "follows_{column}_{axis}"
@@ -44,6 +44,13 @@ class Follows(ThermalExpansion):
     @property
     def _names(self) -> dict[str, str]:
         return super()._names | {"column": self.column}
+
+    def why_not(self, observations: Observations) -> str | None:
+        """As any effect's; the air stands for a sensor of the axis where there is none."""
+        own = f"{_TEMPERATURE}{self.axis}"
+        if self.column == _AIR and own in observations.readings.columns:
+            return f"the column {own} was recorded"
+        return super().why_not(observations)
 
     def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the column over its reference."""
@@ -78,8 +85,8 @@ class FollowsLate(ThermalLag, Follows):
 
 
 def recorded_effects(columns: Iterable[str]) -> tuple[Effect, ...]:
-    """The effects of those columns, by name, that are none of the known ones."""
-    own = [column for column in columns if column not in NUMERIC_COLUMNS]
+    """The effects of those columns, by name, that are none of the known ones, and of the air's temperature."""
+    own = [column for column in columns if column not in NUMERIC_COLUMNS or column == _AIR]
     every = [effect(column, axis) for column in own for axis in _LINEAR for effect in (Follows, FollowsLate)]
     return tuple(effect for effect in every if _ID.fullmatch(effect.id))
 

@@ -219,5 +219,9 @@ TAKEN_BACK = 2.0
 """What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others
 take back what it has too much, and none has its size by itself."""
 
+NEARLY_ALL = 0.95
+"""Share of what effects explain together from which those of them that can be added are all: what is left to the others
+is no more than a law that holds to some tenths leaves of them."""
+
 IN_A_ROW = 0.5
 """Share of a reading's own deviation that those next to it in its run have at least where they deviate alike."""

@@ -20,7 +20,9 @@ def addable(state: State) -> list[str]:
     observations = [one.fit.model.observations for one in state.model.each]
     return [
         name
-        for name, effect in catalogue(tuple(state.own.values())).items()
+        for name, effect in catalogue(
+            tuple(state.own.values()), [c for o in observations for c in o.readings.columns]
+        ).items()
         if name not in state.model.fit.effects and any(effect.why_not(each) is None for each in observations)
     ]
 
