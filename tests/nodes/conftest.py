@@ -86,11 +86,13 @@ class Bench:
             "axis_simulator": world,
             "rotary_pointer": world,
             "instrument": {**world, "sample_noise": 0.0},
-            "procedure": {"use_sim_time": simulated_time, "procedure": file},
+            "procedure": {"use_sim_time": simulated_time, "procedure": file, "patience": PATIENCE},
             "estimator": {"use_sim_time": simulated_time},
             "recorder": {"use_sim_time": simulated_time, "folder": str(self.folder / f"bag{self.count}")},
         }
-        nodes = {name: {**parameters[name], **(more or {}).get(name, {})} for name in names}
+        given = {name: {**parameters[name], **(more or {}).get(name, {})} for name in names}
+        # None: the node's own default
+        nodes = {name: {key: value for key, value in own.items() if value is not None} for name, own in given.items()}
         folder = self.folder / f"log{self.count}"
         return self.stack.enter_context(ForkedGraph(nodes, folder, self.domain, namespace))
 

@@ -32,7 +32,8 @@ NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimat
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stops_in_the_middle_of_work(bench, number):
-    graph = bench.graph(NAMES, simulated_time=number == signal.SIGINT)
+    more = {"procedure": {"patience": None}}  # whose default is looked at
+    graph = bench.graph(NAMES, simulated_time=number == signal.SIGINT, more=more)
     operator = bench.operator(graph)
     if number == signal.SIGTERM:  # before the work, on the same graph
         every_parameter_is_described_and_has_the_default_of_the_example(operator)
