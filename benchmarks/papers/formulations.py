@@ -89,11 +89,11 @@ def increments(session: Session) -> Increments:
         rows.append(_averaged(session, runs, members, axes, finite, blocks, name, lacking))
     starts = np.array([np.minimum(run.start, run.start + run.motion) for run in diagonals])
     corner = starts.min(axis=0)
-    linear = []
+    linear: list[Array] = []
     for axis in axes:
         members = _nearest_to(corner, axis, runs)
         linear.append(_averaged(session, runs, members, (axis,), finite, blocks, "XYZ"[axis], lacking))
-    weights = np.concatenate([np.concatenate(rows), np.concatenate(linear)]).reshape(-1, n)
+    weights = np.concatenate([*rows, *linear]).reshape(-1, n)
     values = weights @ np.where(finite, session.readings.displacement, 0.0)
     count = len(names) * len(axes) * blocks
     step = np.asarray(description.step)[list(axes)]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict on simulated sessions: nothing missing, one effect, two, one that nobody knows, chips."""
 
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.adding import _explains, _hold, _not_themselves, _sized, simpler
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _verdict, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import search_effects
@@ -57,11 +58,45 @@ def test_an_effect_may_cost_the_map_neither_values_nor_all_use(name: str, after:
         _hold(*maps)
 
 
+@pytest.mark.parametrize(
+    ("probabilities", "chi_squares", "accepted", "good_enough", "verdict"),
+    [
+        # What has no known cause takes 90 % of what is left: the story where that is more than the effect took.
+        ((0.99, 0.001), (1000.0, 800.0), True, False, "unexplained"),
+        ((0.99, 0.001), (1000.0, 100.0), True, False, "missing_effect"),
+        ((0.30, 0.001), (1000.0, 800.0), True, False, "missing_effect"),
+        ((0.99, 0.900), (1000.0, 800.0), True, False, "missing_effect"),
+        ((0.99, 0.001), (1000.0, 800.0), True, True, "missing_effect"),
+        # Where no effect is accepted: that something is missing must be sure, and must matter.
+        ((0.99, 0.001), (1000.0, 1000.0), False, False, "unexplained"),
+        ((0.30, 0.001), (1000.0, 1000.0), False, False, "unexplained"),
+        ((0.30, 0.001), (1000.0, 1000.0), False, True, "adequate"),
+        ((0.05, 0.900), (1000.0, 1000.0), False, False, "adequate"),
+    ],
+)
+def test_the_verdict_by_what_is_unknown_and_what_effects_explain(
+    monkeypatch: pytest.MonkeyPatch,
+    probabilities: tuple[float, float],
+    chi_squares: tuple[float, float],
+    accepted: bool,
+    good_enough: bool,
+    verdict: str,
+) -> None:
+    """Probabilities that something unknown is missing, and nothing; sums of squares without and with the effect."""
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose._good_enough", lambda found: good_enough)
+    search = SimpleNamespace(unknown=probabilities[0], nothing=probabilities[1], left=(SimpleNamespace(share=0.9),))
+    fits = [SimpleNamespace(solution=SimpleNamespace(chi_square=size)) for size in chi_squares]
+    found = SimpleNamespace(
+        contradicted=False, search=search, fits=fits, accepted=("backlash_y",) * accepted, gross_errors=()
+    )
+    assert _verdict(cast(Diagnosis, found)) == verdict
+
+
 def test_what_identify_refuses_is_not_called_adequate() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=1)).session
     columns = {**session.readings.columns, "x": 1.1 * session.readings.columns["x"]}
     stretched = session.with_readings(replace(session.readings, columns=columns))
-    with pytest.raises(ModelError, match="which no machine has"):
+    with pytest.raises(ModelError, match=f"^{re.escape(stretched.source)}: the position error .* which no machine has"):
         identify(stretched)
     with pytest.raises(ModelError, match="which no machine has"):
         diagnose(stretched)

@@ -111,7 +111,7 @@ def test_repeats_in_a_plane_that_is_not_zero() -> None:
 
 def test_far_holes_beside_each_other_are_something_else() -> None:
     """x and y of a hole alternate in the list: neighbours are those of the same direction."""
-    session, _ = plates.plate(4, tails=None)
+    session, _ = plates.plate(4, tails=None, holes=100)
     readings = session.readings
     change = np.zeros(len(readings))
     along_y = np.flatnonzero(readings.columns["gy"] == 1.0)

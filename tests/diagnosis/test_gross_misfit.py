@@ -2,6 +2,7 @@
 """Readings that scatter far more than declared: what does not reproduce, a wrong declaration, or a wrong model."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -86,6 +87,30 @@ def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
     assert found.noise.from_repeats is not None
     assert quantity(found.noise.from_repeats, "m") in text
     assert f"{np.sqrt(found.fits[-1].reduced_chi_square):.3g}" in text
+
+
+@pytest.mark.parametrize(
+    ("variance", "left", "noisy", "contradicted"),
+    [
+        (9.0, 520.0, False, True),  # of 800 beyond what noise leaves, 380 are explained
+        (9.0, 480.0, False, False),  # more than half
+        (1.9, 190.0, False, False),  # hardly more than declared
+        (9.0, 900.0, True, False),  # repeats scatter as much
+    ],
+)
+def test_what_explains_half_of_the_excess_is_no_contradiction(
+    variance: float, left: float, noisy: bool, contradicted: bool
+) -> None:
+    """A hundred degrees of freedom: sums of squares without and with what was found."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session
+    solutions = [SimpleNamespace(chi_square=size, degrees_of_freedom=100) for size in (100.0 * variance, left)]
+    found = SimpleNamespace(
+        fits=[SimpleNamespace(solution=one) for one in solutions],
+        chosen=SimpleNamespace(sessions=[session]),
+        search=SimpleNamespace(variance=variance),
+        noisy=noisy,
+    )
+    assert Diagnosis.contradicted.fget(found) is contradicted  # type: ignore[attr-defined]
 
 
 def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:

@@ -24,9 +24,9 @@ WILD = np.arange(N) % 10 == 3
 def problem(
     reading: Array, columns: Array = COLUMNS, constraints: Array | None = None, values: Array | None = None
 ) -> Problem:
-    rows, blocks, none = group_rows(np.zeros(N, dtype=np.int64)), np.zeros((1, 0), dtype=np.int64), np.zeros((0, N))
-    k = len(columns)
-    part = LinearPart(rows, reading, np.full(N, SIGMA), none, none, columns, blocks, np.arange(k))
+    k, n = columns.shape
+    rows, blocks, none = group_rows(np.zeros(n, dtype=np.int64)), np.zeros((1, 0), dtype=np.int64), np.zeros((0, n))
+    part = LinearPart(rows, reading, np.full(n, SIGMA), none, none, columns, blocks, np.arange(k))
     constraints = np.zeros((0, k)) if constraints is None else constraints
     return Problem([part], k, constraints, np.zeros(len(constraints)) if values is None else values)
 
@@ -63,6 +63,23 @@ def test_the_estimator_is_hubers() -> None:
     # The scale is at rest to 2 %.
     assert np.abs(COLUMNS @ cut / size).max() < 0.2
     assert np.abs(COLUMNS @ left / size).max() > 3.0
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_the_scale_counts_the_unknowns(seed: int) -> None:
+    """Of twelve readings three are taken up by the unknowns: what is left is smaller than the noise by sqrt(9 / 12)."""
+    few = COLUMNS[:, :: N // 11]
+    reading = TRUTH @ few + SIGMA * np.random.default_rng(seed).normal(size=12)
+    reading[4] += 4.0 * SIGMA
+    (left,) = robust_start(problem(reading, few)).residuals
+    size = np.sqrt(np.sum(few**2, axis=1))
+
+    def open_at(scale: float) -> float:
+        return float(np.abs(few @ np.clip(left, -1.345 * scale, 1.345 * scale) / size).max())
+
+    plain = np.median(np.abs(left)) / 0.6745
+    assert open_at(plain / np.sqrt(9 / 12)) < 0.03  # the scale is at rest to 2 %
+    assert open_at(plain * np.sqrt(9 / 12)) > 0.09
 
 
 def test_a_datum_holds_and_what_nothing_fixes_stays() -> None:

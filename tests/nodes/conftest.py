@@ -11,14 +11,11 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import Graph
 from machine_tool_calibration.session.session import Session
 
-from .forked import ForkedGraph
+from .forked import PATIENCE, ForkedGraph
 from .publishing import publish
 
-# s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
-PATIENCE = 300.0
 # s: for a whole procedure
 WHOLE = 900.0
 ORIGIN = 1_700_000_000.0
@@ -80,7 +77,7 @@ class Bench:
         namespace: str = "",
         simulated_time: bool = True,
         more: dict[str, dict[str, object]] | None = None,
-    ) -> Graph:
+    ) -> ForkedGraph:
         self.count += 1
         site_file = self.write(f"site{self.count}.yaml", site)
         world = {"use_sim_time": simulated_time, "site": site_file, "time_origin": ORIGIN if simulated_time else 0.0}
@@ -89,15 +86,17 @@ class Bench:
             "axis_simulator": world,
             "rotary_pointer": world,
             "instrument": {**world, "sample_noise": 0.0},
-            "procedure": {"use_sim_time": simulated_time, "procedure": file},
+            "procedure": {"use_sim_time": simulated_time, "procedure": file, "patience": PATIENCE},
             "estimator": {"use_sim_time": simulated_time},
             "recorder": {"use_sim_time": simulated_time, "folder": str(self.folder / f"bag{self.count}")},
         }
-        nodes = {name: {**parameters[name], **(more or {}).get(name, {})} for name in names}
+        given = {name: {**parameters[name], **(more or {}).get(name, {})} for name in names}
+        # None: the node's own default
+        nodes = {name: {key: value for key, value in own.items() if value is not None} for name, own in given.items()}
         folder = self.folder / f"log{self.count}"
         return self.stack.enter_context(ForkedGraph(nodes, folder, self.domain, namespace))
 
-    def operator(self, graph: Graph | None = None, namespace: str = "") -> Client:
+    def operator(self, graph: ForkedGraph | None = None, namespace: str = "") -> Client:
         space = graph.namespace if graph is not None else namespace
         return self.stack.enter_context(Client(self.domain, space))
 

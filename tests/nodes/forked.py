@@ -9,6 +9,7 @@ argument is the name by which it is asked.
 import gc
 import inspect
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,7 +21,13 @@ from pathlib import Path
 
 from machine_tool_calibration.nodes.__main__ import NODES, main
 from machine_tool_calibration.nodes.graph import Graph, end_with_parent
+from machine_tool_calibration.nodes.ros import process as frame
 from machine_tool_calibration.recording.cdr import typestore
+
+# s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
+PATIENCE = 300.0
+# s after a signal until a node ends by force, in place of the two seconds of use: only one that hangs takes so long
+GRACE = 60.0
 
 
 class Forked:
@@ -61,6 +68,19 @@ class ForkedGraph(Graph):
     def _launch(self, command, environment, log):
         return Forked(command, environment, log)
 
+    def ends(self, name, number):
+        """Whether a node ends by itself at a signal, and not by force; a hang of the middleware is none of its own."""
+        process = self._running.pop(name)
+        process.send_signal(number)
+        status = process.wait(PATIENCE)
+        return status == 0 or (status == 1 and held_by_the_middleware(self.folder / f"{name}.log"))
+
+
+def held_by_the_middleware(log):
+    """Whether a node that was ended by force was in a call of rclpy, by the traces of its threads."""
+    *_, main = re.split(r"^.*hread 0x.*$", log.read_text(), flags=re.MULTILINE)
+    return "ended by force" in main and "/rclpy/" in main.strip().partition("\n")[0]
+
 
 @cache
 def address() -> str:
@@ -81,6 +101,7 @@ def serve(name: str) -> None:
     for node in NODES:
         import_module(f"machine_tool_calibration.nodes.{node}")
     typestore()
+    frame.STOP_GRACE = frame.SAVE_GRACE = GRACE
     # rclpy looks through all modules when a process writes its first line into the log.
     inspect.getmodule(inspect.currentframe())
     gc.freeze()  # no node looks for circles in what they share

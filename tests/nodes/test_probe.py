@@ -5,6 +5,7 @@ import json
 import os
 import re
 import signal
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -190,7 +191,7 @@ def test_a_run_whose_probe_dies_says_so_and_keeps_its_readings(bench, monkeypatc
 
 
 class PlayedAxes:
-    """Axes that stand in front of the part's first point, and do nothing but note what they are told."""
+    """Axes that stand in front of the part's first point and note what they are told, which they do while `obeying`."""
 
     def __init__(self, operator, content):
         node, stamp = operator.node, round(ORIGIN * 1e9)
@@ -199,47 +200,59 @@ class PlayedAxes:
         c = description.setups[0].c
         touch = Part(description).touch(0, c, 0.004)
         self.place = {**touch.at(0.004), "z": -0.01, "c": c}
-        self.commands, self.executed = [], executed_message(stamp, [(stamp, self.place)])
+        self.commands, self.obeying = [], True
+        self.stamp, self.executed = stamp, executed_message(stamp, [(stamp, self.place)])
         session = node.create_publisher(String, "session", LATCHED)
         states = node.create_publisher(JointState, "joint_states", STATE)
         executed = node.create_publisher(JointTrajectory, "axes/executed", STATE)
-        node.create_subscription(JointTrajectory, "axes/joint_trajectory", self.commands.append, COMMAND)
+        node.create_subscription(JointTrajectory, "axes/joint_trajectory", self._told, COMMAND)
         session.publish(String(data=described))
 
         def tell():
             executed.publish(self.executed)
-            states.publish(joint_state(stamp, self.place))
+            states.publish(joint_state(self.stamp, self.place))
 
         node.create_timer(0.05, tell)
 
+    def _told(self, command):
+        self.commands.append(command)
+        if self.obeying:
+            began = from_message(command.header.stamp)
+            self.stamp = began + 2
+            self.executed = executed_message(began, [(began + k, self.place) for k in range(3)])
+
 
 def played(bench):
+    """A touch that axes do not carry out which the probe has heard of: they have carried out the one before."""
     _, operator = start(bench, procedure(), site(), names=("probe",), simulated=False)
     axes = PlayedAxes(operator, procedure())
-    client = operator.node.create_client(Trigger, "instrument/capture")
-    assert operator.wait(client.service_is_ready, PATIENCE)
-    asked = []
 
-    def touching():
-        if not asked or asked[-1].done():  # refused: the probe has not heard of the axes yet
-            asked.append(client.call_async(Trigger.Request()))
-        return bool(axes.commands)
+    def touched():
+        with suppress(CalibrationError):  # it has not heard of session or axes yet
+            return bool(operator.outcome("instrument/capture", PATIENCE))
+        return False
 
-    assert operator.wait(touching, PATIENCE)
-    return operator, axes, asked[-1]
+    assert operator.wait(touched, PATIENCE)
+    axes.obeying = False
+    done = axes.commands[-1]
+    asked = operator.client("instrument/capture").call_async(Trigger.Request())
+    assert operator.wait(lambda: axes.commands[-1] != done, PATIENCE)
+    return operator, axes, asked
 
 
 def test_a_command_that_the_axes_did_not_hear_is_sent_again(bench):
     operator, axes, _ = played(bench)
-    assert operator.wait(lambda: len(axes.commands) > 1, PATIENCE)
-    assert axes.commands[0] == axes.commands[1]
-    assert from_message(axes.commands[0].header.stamp) % 2 == 1  # no command of a procedure has it
+    first = axes.commands.pop()
+    axes.commands.clear()
+    assert operator.wait(lambda: bool(axes.commands), PATIENCE)
+    assert axes.commands[0] == first
+    assert from_message(first.header.stamp) % 2 == 1  # no command of a procedure has it
 
 
 def test_axes_that_were_started_anew_end_the_touch(bench):
     operator, axes, asked = played(bench)
     assert not asked.done()
-    axes.executed = executed_message(round(ORIGIN * 1e9) + 5, ())
+    axes.executed = executed_message(axes.stamp + 5, ())
     assert operator.wait(asked.done, PATIENCE)
     assert "started anew" in asked.result().message
 

@@ -17,6 +17,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.outlook import outlooks
 from machine_tool_calibration.planning.sensing import SizedEffect, sense
@@ -60,6 +61,7 @@ def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Sim
     assert way.cosine_before == pytest.approx(1.0, abs=1e-6)
     assert way.separates
     assert way.apart_before < 1.0 < 6.0 < way.apart_after
+    assert advice.dominant is not None and advice.dominant == limits_of(found.chosen.sessions[0])
 
 
 def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None:
@@ -130,6 +132,7 @@ def days() -> list[Session]:
 
 def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
     advice = what_to_measure(diagnose(FitRequest(days, LABELS)))
+    assert advice.dominant is None, "what limits is said of one measurement"
     separation = next(s for s in advice.separations if "retroreflector_form" in s.effects)
     assert "pointer_radial_error" in separation.effects
     assert separation.kind == "turned"

@@ -259,6 +259,16 @@ def test_a_slow_pointer_makes_the_axes_wait():
     assert hold.points[-1].position == motion.points[-1].position
 
 
+def test_in_real_time_axes_that_stand_need_no_further_wait_for_the_pointer():
+    """Time that was not leapt over: path and air are as steady as when they arrived."""
+    world = World(small())
+    (motion, _aim) = world.sequencer.start(world.clock, world.wall)
+    handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
+    assert handle(Arrived(motion.stamp, motion.stamp + SECOND, motion.stamp + SECOND, "a")) == []
+    (request,) = handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp + 5 * SECOND))
+    assert isinstance(request, SetDatum)
+
+
 def test_commands_carry_times_for_a_real_controller():
     world = World(small(), timing=Timing(paced=True))
     (motion, _) = world.sequencer.start(world.clock, world.wall, {"x": 0.2, "y": 0.2})
@@ -287,10 +297,16 @@ def test_an_unsteady_path_is_given_time_and_then_up():
 def test_three_dimensions_point_upwards():
     text = TEXT.replace("dimension: 2", "dimension: 3").replace("y: [0.1, 0.2]}", "y: [0.1], z: [0.05]}")
     world = World(small(text))
-    world.sequencer.start(world.clock, world.wall)
+    (motion, _aim) = world.sequencer.start(world.clock, world.wall)
     azimuth, elevation = world.sequencer._pending.angles
     assert elevation == pytest.approx(math.atan2(0.05, math.hypot(0.35, 0.05)))
     assert azimuth == pytest.approx(math.atan2(0.05, 0.35))
+    handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
+    handle(Arrived(motion.stamp, motion.stamp + SECOND, motion.stamp + 2 * SECOND, "a"))
+    for wrong in ((azimuth, -elevation), (-azimuth, elevation), (azimuth, 0.0)):
+        assert handle(Aimed("A", *wrong, motion.stamp)) == [], "it points elsewhere"
+    (request,) = handle(Aimed("A", azimuth, elevation, motion.stamp))
+    assert isinstance(request, SetDatum)
 
 
 def jogged(stamp, times=1):

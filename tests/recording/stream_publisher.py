@@ -5,7 +5,7 @@ Arguments: namespace, batches, batches per second (0: as they fit), samples per 
 publish /clock, which begins at 100 s and advances by a second a batch, and `loose` if the recorder listens to the
 displacement and to what is published best effort, and not to all that belongs to the graph. Prints a line for each
 event.
-Every sample is its own number, and every batch's first value of `joint_states` is the wall time at which it was sent.
+Every sample is its own number.
 """
 
 import sys
@@ -56,7 +56,7 @@ def main() -> None:
         if clock:
             clock.publish(Clock(clock=Time(sec=100 + k)))
         stream.publish(Float64MultiArray(data=array("d", range(k * samples, (k + 1) * samples))))
-        states.publish(JointState(name=["wall"], position=[time.time()]))
+        states.publish(JointState(name=["x"], position=[float(k)]))
         if k % 10 == 0:
             sensor.publish(Temperature(temperature=20.0))
             loose.publish(String(data=str(k)))

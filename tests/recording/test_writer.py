@@ -3,8 +3,10 @@
 
 import errno
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -149,6 +151,36 @@ def test_a_folder_that_is_not_empty_is_left_alone(small_bag: Callable[..., Path]
 def test_a_topic_must_be_registered(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag, pytest.raises(RecordingError, match="'/nowhere' was not registered"):
         bag.write("/nowhere", b"", 0)
+
+
+def test_what_is_older_than_the_period_is_written_at_the_next_tick(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock of the test's own: so long, and no longer, a message waits, be it followed by another or not."""
+    now = [1000.0]
+    monkeypatch.setattr(writer, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    bag = BagWriter(tmp_path / "bag", flush_seconds=0.4)
+    bag.add_topic("/text", TEXT)
+    bag.write("/text", encode(TEXT, "first"), 1)
+    bag.flush()
+
+    def survive() -> int:
+        """Messages that a kill would leave now."""
+        with tempfile.TemporaryDirectory(dir=tmp_path) as folder:
+            return recover(bag.folder, Path(folder, "saved")).messages
+
+    bag.write("/text", encode(TEXT, "second"), 2)
+    now[0] += 0.39
+    bag.tick()
+    assert survive() == 1
+    now[0] += 0.02
+    bag.tick()
+    assert survive() == 2
+    for _ in range(3):  # a stream without a pause
+        now[0] += 0.15
+        bag.write("/text", encode(TEXT, "more"), 3)
+    assert survive() == 5
+    bag.close()
 
 
 def full_disk(monkeypatch: pytest.MonkeyPatch, room: list[int]) -> None:

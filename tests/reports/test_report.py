@@ -214,6 +214,41 @@ def test_what_is_likely_is_said_beside_readings_that_were_set_aside() -> None:
     assert not {"diagnosis.nothing_shown", "diagnosis.places_differ"} & told
 
 
+def test_where_nothing_is_named_it_is_told_what_the_likely_one_that_explains_most_leaves() -> None:
+    """A reversal of 1.5 µm that was not accepted: beside it there is the readings' noise of 0.3 µm alone."""
+    found, _ = report("missing_effect")
+    unsure = replace(found, verdict="unexplained", accepted=(), fitted=found.fitted[:1])
+    first, known = unsure.fits[0], unsure.search.of("backlash_y")
+    whole = float(np.sqrt(np.mean(np.concatenate([one.residuals for one in first.fits]) ** 2)))
+    free = first.solution.degrees_of_freedom - 1
+    assert known.rms_after == pytest.approx(3e-7 * np.sqrt(free / len(found.chosen.sessions[0].readings)), rel=0.1)
+
+    def told(*left: float) -> list[str]:
+        """What is said where so much is left beside the likely ones, the likeliest first."""
+        others = [one for one in unsure.search.findings if one is not known]
+        likely = [
+            replace(one, probability=0.9 - 0.1 * k, rms_after=rest)
+            for k, (one, rest) in enumerate(zip([known, *others], left, strict=False))
+        ]
+        unlikely = [replace(one, probability=0.01) for one in others[len(left) - 1 :]]
+        search = replace(unsure.search, findings=(*likely, *unlikely))
+        return [str(words) for words in verdict_words(replace(unsure, search=search), {}, Advice())]
+
+    def leaves(name: str, left: float) -> str:
+        return str(say("diagnosis.most_is_of", name=name, left=quantity(left, "m")))
+
+    none = str(say("diagnosis.none_accounts"))
+    assert any(text.endswith(leaves("backlash_y", known.rms_after)) for text in told(known.rms_after))
+    # From half of the squares on.
+    most, more = (np.sqrt(share) * whole for share in (0.49, 0.51))
+    assert any(text.endswith(leaves("backlash_y", most)) for text in told(most))
+    assert any(text.endswith(none) for text in told(more))
+    # The one that leaves least, which need not be the likeliest.
+    other = next(one.name for one in unsure.search.findings if one is not known)
+    assert any(text.endswith(leaves(other, 0.3 * whole)) for text in told(0.5 * whole, 0.3 * whole))
+    assert any(text.endswith(leaves("backlash_y", 0.3 * whole)) for text in told(0.3 * whole, more))
+
+
 @pytest.mark.parametrize("verdict", ["adequate", "outliers"])
 def test_structure_that_is_too_small_to_matter_is_said_to_be(verdict: str) -> None:
     sound, _ = report("adequate")

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.agreement import Neighbours, Noise, compared_sets
+from machine_tool_calibration.residuals.agreement import Neighbours, Noise, compared_sets, groups_of_unknowns
 from machine_tool_calibration.residuals.gross_errors import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -76,6 +77,16 @@ def test_six_of_many() -> None:
     rng = np.random.default_rng(4)
     residual = rng.normal(size=24) + np.where(np.arange(24) < 6, 50.0 * (1 + np.arange(24)), 0.0)
     assert explained(np.ones((24, 1)), residual, limit=3.5)[0].tolist() == list(range(6))
+
+
+def test_readings_that_see_the_same_unknowns_are_compared_with_each_other() -> None:
+    """Five unknowns: two that share a reading, one of a single reading, one of all 40, one by itself."""
+    n, columns = 40, np.zeros((5, 40))
+    columns[0, 0:3], columns[1, 2:5], columns[2, 7], columns[3], columns[4, 20:24] = 1.0, -2.0, 1.0, 1.0, 0.5
+    rows, blocks, none = group_rows(np.zeros(n, dtype=np.int64)), np.zeros((1, 0), dtype=np.int64), np.zeros((0, n))
+    part = LinearPart(rows, np.zeros(n), np.full(n, 1e-6), none, none, columns, blocks, np.arange(5))
+    found = groups_of_unknowns(part, (np.zeros(5), np.zeros((1, 0))), 5)
+    assert [group.tolist() for group in found] == [[0, 1, 2, 3, 4], [20, 21, 22, 23]]
 
 
 def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:

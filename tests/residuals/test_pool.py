@@ -4,7 +4,7 @@
 import numpy as np
 
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
-from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.residuals.pool import IMPERFECT, Pool
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 
@@ -18,3 +18,17 @@ def test_runs_and_setups_of_several_sessions_are_different_ones() -> None:
         assert len(np.unique(number)) == sum(len(np.unique(one)) for one in own)
         assert len(np.unique(np.stack([number, owner]), axis=1).T) == len(np.unique(number))
     assert pool.setup_names == tuple(f"{label}: {name}" for label in "ab" for name in sessions[0].setup_ids)
+
+
+def test_what_does_not_reproduce_is_counted_in_standard_uncertainties_of_each_session() -> None:
+    """Functions of setups are of a root mean square of about one: of size 1 they move readings by what is declared."""
+    plans = (PRESETS["tracking_2d"], PRESETS["tracking_2d"].model_copy(update={"noise": 3e-6}))
+    sessions = tuple(simulate(SimulationSpec(plan=plan, seed=1)).session for plan in plans)
+    pool = Pool(fit_sessions(FitRequest(sessions, ("fine", "coarse"))).joint)
+    every, family, names = pool.spread
+    columns = every[family != names.index(IMPERFECT)]
+    sigma = np.repeat([3e-7, 3e-6], [len(one) for one in pool.observations])
+    owned = np.array([[np.abs(row[sigma == size]).max() > 0 for size in (3e-7, 3e-6)] for row in columns])
+    assert (owned.sum(axis=1) == 1).all() and owned.any(axis=0).all()
+    size = np.array([np.sqrt(np.mean((row / sigma)[row != 0] ** 2)) for row in columns])
+    assert ((size > 0.2) & (size < 3.0)).all()

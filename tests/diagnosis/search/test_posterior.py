@@ -5,18 +5,22 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.evidence import Block
-from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
+from machine_tool_calibration.diagnosis.search.evidence import Block, alike
+from machine_tool_calibration.diagnosis.search.posterior import (
+    Posterior,
+    _best_pairs,
+    _Search,
+    _sizes_that_matter,
+    search,
+)
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 
 N = 60
 
 
-def searched(
-    columns: np.ndarray, readings: np.ndarray, *, side_by_side: bool = False, low: float = -np.inf
-) -> Posterior:
-    """The posterior of effects of one column each, with a largest size of ten."""
+def given(columns: np.ndarray, readings: np.ndarray, low: float = -np.inf) -> tuple[Gram, list[Block], np.ndarray]:
+    """Inner products, blocks and prior odds of effects of one column each, with a largest size of ten."""
     count = columns.shape[1]
     gram = Gram(
         inner=columns.T @ columns,
@@ -28,8 +32,15 @@ def searched(
     shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
     either = np.zeros(1, dtype=bool)
     blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, either, 0.0) for k in range(count)]
-    odds = np.full(count, np.log(priors.EFFECT / (1.0 - priors.EFFECT)))
-    return search(gram, blocks, odds, side_by_side=side_by_side, pairs_among=range(count))
+    return gram, blocks, np.full(count, np.log(priors.EFFECT / (1.0 - priors.EFFECT)))
+
+
+def searched(
+    columns: np.ndarray, readings: np.ndarray, *, side_by_side: bool = False, low: float = -np.inf
+) -> Posterior:
+    """The posterior of such effects."""
+    of_each = given(columns, readings, low)
+    return search(*of_each, side_by_side=side_by_side, pairs_among=range(columns.shape[1]))
 
 
 def made(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -102,6 +113,18 @@ def test_a_pair_that_hides_each_other_is_found() -> None:
     assert both > 5.0 + max(single.max(), 0.0)
     assert set(found.best) == {0, 1}
     assert min(found.of(0), found.of(1)) > 0.99
+
+
+def test_of_all_pairs_those_are_tried_that_leave_least() -> None:
+    """Of 45 pairs of columns at right angles: by the squares that each takes up, which are those of its members."""
+    columns, noise = made(3, 10)
+    sizes = np.array([0.55, 0.5, 0.45, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0])
+    noise -= columns @ (columns.T @ noise) / 64.0
+    gram, blocks, odds = given(columns, noise + columns @ sizes)
+    same = alike(gram, blocks)
+    work = _Search(blocks, same, odds, _sizes_that_matter(gram, blocks, same, odds, 0.01), ())
+    tried = [set(pair) for pair in _best_pairs(work, work.grow({}), range(10), {})]
+    assert tried == [{0, 1}, {0, 2}, {0, 3}, {1, 2}][: len(tried)] and len(tried) > 1
 
 
 def test_three_effects_are_found_in_one_search() -> None:
