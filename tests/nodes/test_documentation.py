@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from sensor_msgs.msg import PointCloud2
 
 from machine_tool_calibration.nodes.ros.messages import LATCHED, columns
@@ -97,10 +98,7 @@ def test_topics_of_the_probe_and_the_player(bench):
 
 @pytest.mark.parametrize("name", [*NODES, "probe", "player"])
 def test_every_parameter_has_its_row(name):
-    source = (SOURCE / f"{name}.py").read_text()
-    source += (SOURCE / "descriptions.py").read_text() if "declare_site(" in source else ""
-    declared = set(re.findall(r'\.declare\(\s*"(\w+)"', source))
-    assert declared
+    declared = set(yaml.safe_load((SOURCE / "parameters.yaml").read_text())[name])
     (page,) = [page for page in PAGES.values() if f"## Parameters of `{name}`\n" in page]
     section = page.split(f"## Parameters of `{name}`\n")[1].split("\n## ")[0]
     lines = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]

@@ -199,7 +199,7 @@ def test_help_says_what_it_is_and_takes_and_starts_nothing(name, given, capsys, 
     said = capsys.readouterr().out
     assert said.startswith(f"Usage: ros2 run machine_tool_calibration {name} ")
     assert module.__doc__.strip() in said
-    declared = re.findall(r'\.declare\(\s*"(\w+)"', Path(module.__file__).read_text())
+    declared = yaml.safe_load(Path(module.__file__).with_name("parameters.yaml").read_text())[name]
     assert declared
     assert all(re.search(rf"^\| .*`{key}`", said, re.M) for key in [*declared, "use_sim_time"])
     assert Path(said.strip().rpartition(": ")[2]).is_file()

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby, islice
 from operator import attrgetter
 
-from machine_tool_calibration.certificate.particulars import Certificate, Party
+from machine_tool_calibration.certificate.particulars import Certificate
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.sections import set_up
 from machine_tool_calibration.reports.budget import decision_words, rule_words
@@ -26,7 +26,7 @@ def facts(own: Certificate) -> list[Fact]:
     every: list[Fact] = [
         (say("certificate.machine"), [Verbatim(item.title)]),
         *((say(f"certificate.{key}"), [Verbatim(getattr(item, key))]) for key in ("serial", "inventory", "condition")),
-        (say("certificate.customer"), _lines(own.customer)),
+        (say("certificate.customer"), [Verbatim(text) for text in (own.customer.name, *own.customer.lines) if text]),
         (say("certificate.order"), [Verbatim(own.order)]),
         (say("certificate.place"), [Verbatim(own.place)]),
         (say("certificate.received"), [own.received.isoformat() if own.received else ""]),
@@ -34,10 +34,6 @@ def facts(own: Certificate) -> list[Fact]:
         (say("certificate.issued"), [own.issued.isoformat() if own.issued else ""]),
     ]
     return [(name, lines) for name, lines in every if any(lines)]
-
-
-def _lines(party: Party) -> list[str]:
-    return [Verbatim(text) for text in (party.name, *party.lines) if text]
 
 
 def statements(own: Certificate, found: Evaluation) -> Iterator[str]:

@@ -15,7 +15,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.commanded import executed_message
-from machine_tool_calibration.nodes.descriptions import declare_site
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
@@ -86,26 +85,12 @@ class AxisSimulator(ManagedNode):
 
     def settings(self) -> None:
         """See `ManagedNode`."""
-        self._file, self._origin = declare_site(
-            self, "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
-        )
-        simulated = self.lives_in_simulated_time
-        self._jumping = self.declare(
-            "publish_clock",
-            simulated,
-            "own the simulated clock (/clock) and jump it to the end of each trajectory; needs use_sim_time",
-        )
-        if self._jumping and not simulated:
+        self._file, self._origin = self.site_and_origin()
+        self._jumping, self._rate = self.values("publish_clock", "state_rate")
+        if self._jumping and not self.lives_in_simulated_time:
             raise CalibrationError("parameter publish_clock needs use_sim_time: true")
-        self._rate = self.declare("state_rate", 100.0, "rate of joint_states in real time", "Hz", (1.0, 1000.0))
-        self._linear_limits = AxisLimits(
-            self.declare("speed", 0.5, "greatest speed of a linear axis", "m/s", (1e-6, 10.0)),
-            self.declare("acceleration", 2.0, "its greatest acceleration", "m/s^2", (1e-6, 100.0)),
-        )
-        self._rotary_limits = AxisLimits(
-            self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", "rad/s", (1e-6, 1e3)),
-            self.declare("rotary_acceleration", 10.0, "its greatest acceleration", "rad/s^2", (1e-6, 1e5)),
-        )
+        self._linear_limits = AxisLimits(*self.values("speed", "acceleration"))
+        self._rotary_limits = AxisLimits(*self.values("rotary_speed", "rotary_acceleration"))
 
     def _now(self) -> int:
         return self._simulated_now if self._jumping else now(self)

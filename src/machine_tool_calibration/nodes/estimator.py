@@ -67,28 +67,6 @@ class Estimator(ManagedNode):
         """See `ManagedNode`."""
         self.goals.close()
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
-        self.declare(
-            "effects_files",
-            [""],
-            "YAML files with effects of the user's own, by formula; they are looked for beside the catalogue",
-            read_only=False,
-        )
-        self.declare(
-            "model",
-            "",
-            "variant of the method's model, such as free or rigid_body; empty: the method's default",
-            read_only=False,
-        )
-        self.declare(
-            "effects",
-            [""],
-            "ids of physical effects in the model; estimator/improve adds those that it finds",
-            read_only=False,
-        )
-        self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", "1", (0.0, None), read_only=False)
-
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`: the effects must exist, and a method must have the model."""
         if wanted.get("model"):

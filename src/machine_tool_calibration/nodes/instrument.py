@@ -25,7 +25,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.instruments.samples import Batch, DriverSource, NotYet, Recent, Window
 from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
-from machine_tool_calibration.nodes.descriptions import declare_site, description_of
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, StatusTopic, from_message, now, seconds
 from machine_tool_calibration.nodes.ros.node import ManagedNode
@@ -101,33 +101,11 @@ class Instrument(ManagedNode):
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        self._driver = self.declare(
-            "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
-        )
-        self._file, self._origin = declare_site(self)
-        self._rate = self.declare(
-            "rate", 1000.0 if self._simulated_time else 10000.0, "samples of the simulated stream", "Hz", (1.0, 1e6)
-        )
-        self._batch_rate = self.declare("batch_rate", 50.0, "batches of the stream in real time", "Hz", (1.0, 1000.0))
-        self._averaging = self.declare("averaging", 0.1, "time over which a reading is averaged", "s", (1e-3, 1000.0))
-        self._tolerance = self.declare(
-            "stable_tolerance",
-            1e-6,
-            "a reading is stable when the means of its quarters agree within this",
-            "m",
-            (1e-12, 1.0),
-        )
-        self._timeout = self.declare(
-            "capture_timeout",
-            3.0,
-            "a reading that is not stable within this is refused (wall clock)",
-            "s",
-            (0.01, 1000.0),
-        )
-        self._sample_noise = self.declare(
-            "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", "m", (0.0, 1.0)
-        )
-        self._blocked = self.declare("beam_blocked", False, "something stands in the simulated beam", read_only=False)
+        self._file, self._origin = self.site_and_origin()
+        self._driver, self._rate, self._batch_rate = self.values("driver", "rate", "batch_rate")
+        self._averaging, self._tolerance = self.values("averaging", "stable_tolerance")
+        self._timeout, self._sample_noise = self.values("capture_timeout", "sample_noise")
+        (self._blocked,) = self.values("beam_blocked")
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`; the simulated beam is blocked at once."""

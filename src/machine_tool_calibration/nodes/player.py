@@ -99,17 +99,8 @@ class Player(ManagedNode):
 
     def settings(self) -> None:
         """See `ManagedNode`."""
-        self._path = self.declare("bag", "", "the recording: a rosbag2 folder or an .mcap file")
-        self._rate = self.declare(
-            "rate", 1.0, "seconds of the bag per second; 0: as fast as possible", within=(0.0, None)
-        )
-        self._paused = self.declare("paused", False, "wait for the service player/resume")
-        self._frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", "Hz", (0.0, 10000.0))
-        self._wanted = self.declare("topics", [""], "names of the topics to play; all if there are none")
-        self._ends = self.declare("exit_at_end", False, "end the node when the bag has been played")
-        self._delay = self.declare(
-            "delay", 0.0, "before the first message, so that subscribers are found", "s", (0.0, None)
-        )
+        self._path, self._rate, self._paused, self._frequency = self.values("bag", "rate", "paused", "clock_rate")
+        self._wanted, self._ends, self._delay = self.values("topics", "exit_at_end", "delay")
 
     def configure(self) -> None:
         """See `ManagedNode`."""

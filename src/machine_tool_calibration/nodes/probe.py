@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import SEARCH, NominalTouch, Part, judge
 from machine_tool_calibration.nodes.commanded import Executions
-from machine_tool_calibration.nodes.descriptions import declare_site, description_of
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
@@ -108,14 +108,8 @@ class Probe(ManagedNode):
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        self._file, self._origin = declare_site(self)
-        self._speed = self.declare("speed", 0.005, "speed of the approach", "m/s", (1e-5, 1.0))
-        self._form = self.declare(
-            "form", 3e-6, "standard deviation of the simulated part's form errors", "m", (0.0, 0.01)
-        )
-        self._moves = self.declare(
-            "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
-        )
+        self._file, self._origin = self.site_and_origin()
+        self._speed, self._form, self._moves = self.values("speed", "form", "services_move_axes")
 
     # --- what the others say
 

@@ -80,6 +80,8 @@ def event_of(
         return events.CaptureFailed(token, "other", reason)
 
 
+_TIMING = ("resend", "answer", "patience", "pointing_tolerance", "revisits", "wait_between_setups", "wait_every")
+"""Parameters that are fields of `Timing`."""
 _TICK = 0.1  # s of the wall clock
 _LONGEST = 200  # characters of a reason
 _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
@@ -91,29 +93,10 @@ class ProcedureNode(ManagedNode):
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        self._file = self.declare("procedure", "", "YAML file of the procedure")
-        self._timing = self._declare_timing()
-        self._arrival_source = self.declare(
-            "arrival",
-            "executed",
-            "how the end of a motion is known: `executed` (axes/executed), or `joint_states` where there is none",
-            choices=("executed", "joint_states"),
-        )
-        self._position_tolerance = self.declare(
-            "position_tolerance",
-            1e-5,
-            "with arrival: joint_states, the axes are there within this",
-            "m or rad",
-            (1e-12, 1.0),
-        )
-        self._maximum_age = self.declare(
-            "environment_age", 120.0, "an environment sample older than this is not used", "s", (0.1, 1e5)
-        )
-        self._moves = self.declare(
-            "services_move_axes",
-            True,
-            "whether procedure/start and procedure/resume are carried out; false: they are refused",
-        )
+        self._file, self._arrival_source, self._moves = self.values("procedure", "arrival", "services_move_axes")
+        self._position_tolerance, self._maximum_age = self.values("position_tolerance", "environment_age")
+        timing = dict(zip(_TIMING, self.values(*_TIMING), strict=True))
+        self._timing = Timing(paced=not self._simulated_time, **timing)
 
     def configure(self) -> None:
         """See `ManagedNode`."""
@@ -167,43 +150,6 @@ class ProcedureNode(ManagedNode):
         """Nobody will hear of the axes' arrival any more: they stop."""
         if self.sequencer.state is State.RUNNING:
             self._carry_out(self.sequencer.abort(now(self)))
-
-    def _declare_timing(self) -> Timing:
-        return Timing(
-            resend=self.declare(
-                "resend", 1.0, "a command without an answer is sent again after this", "s", (0.05, 100.0)
-            ),
-            answer=self.declare(
-                "answer",
-                2.0 if self._simulated_time else 5.0,
-                "a request to the instrument without an answer is sent again after this",
-                "s",
-                (0.05, 1e4),
-            ),
-            patience=self.declare(
-                "patience", 15.0, "a partner that does not answer for this long is an error", "s", (0.1, 1e5)
-            ),
-            paced=not self._simulated_time,
-            pointing_tolerance=self.declare(
-                "pointing_tolerance",
-                1e-4,
-                "greatest deviation of the beam's angles from the command",
-                "rad",
-                (1e-9, 0.1),
-            ),
-            revisits=self.declare(
-                "revisits",
-                4,
-                "targets measured again after a lost beam, to tie the new datum to the old",
-                within=(0, 1000),
-            ),
-            wait_between_setups=self.declare(
-                "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
-            ),
-            wait_every=self.declare(
-                "wait_every", 0, "pause in a setup after so many readings too; 0: never", within=(0, 1_000_000)
-            ),
-        )
 
     # --- requests of people
 

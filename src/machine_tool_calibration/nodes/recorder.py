@@ -24,13 +24,10 @@ class Recorder(ManagedNode):
 
     def settings(self) -> None:
         """See `ManagedNode`."""
-        topics = self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")
+        topics, self._everything, self._folder = self.values("topics", "all_topics", "folder")
         self._wanted = {self.resolve_topic_name(name) for name in topics if name}
-        self._everything = self.declare("all_topics", False, "record every topic that is discovered")
-        self._folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
-        self._split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", "B", (0, None))
-        self._split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", "s", (0.0, None))
-        self._flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", "s", (0.02, 0.8))
+        names = ("split_size", "split_duration", "flush_period")
+        self._split_bytes, self._split_time, self._flush = self.values(*names)
 
     def activate(self) -> None:
         """See `ManagedNode`: a recording begins, in a bag of its own."""

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
-from machine_tool_calibration.nodes.descriptions import declare_site, description_of
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     STATE,
@@ -44,14 +44,10 @@ class RotaryPointer(ManagedNode):
 
     def settings(self) -> None:
         """See `ManagedNode`."""
-        self._file, self._origin = declare_site(
-            self, "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
-        )
-        self._rate = self.declare("state_rate", 50.0, "rate of pointer/state in real time", "Hz", (1.0, 1000.0))
-        speed = self.declare("speed", 2.0, "greatest speed of azimuth and elevation", "rad/s", (1e-6, 1e3))
-        acceleration = self.declare("acceleration", 20.0, "their greatest acceleration", "rad/s^2", (1e-6, 1e5))
+        self._file, self._origin = self.site_and_origin()
+        self._rate, *limits = self.values("state_rate", "speed", "acceleration")
         self._simulated = self.lives_in_simulated_time
-        self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
+        self._limits = dict.fromkeys(_ANGLES, AxisLimits(*limits))
 
     def configure(self) -> None:
         """See `ManagedNode`."""

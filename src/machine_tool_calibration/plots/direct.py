@@ -52,7 +52,7 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     known = (
         (_SYMBOLS.get(name, name), as_exact(value, "m", run.get(f"{name}_U")))
         for name, value in figures
-        if _known(value)
+        if value is not None and np.isfinite(value)
     )
     values = together((together(one) for one in known), "   ")
     figure.suptitle(together((say("picture.run", axis=run["axis"], setup=run["setup"]), values), "\n"))
@@ -92,7 +92,3 @@ def _draw_run(panel: Axes, run: Mapping[str, Any]) -> None:
             panel.plot(position, mean - 2 * s, "--", color=color, linewidth=1, label=say("picture.mean_2s", way=arrow))
             panel.plot(position, mean + 2 * s, "--", color=color, linewidth=1)
     panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-
-
-def _known(value: Any) -> bool:
-    return value is not None and bool(np.isfinite(value))

@@ -3,7 +3,10 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
+
+import yaml
 
 from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.metadata import Qos, Topic
@@ -22,46 +25,9 @@ class GraphTopic:
     depth: int = 1
 
 
-_STATUS = "diagnostic_msgs/msg/DiagnosticArray"
-
-GRAPH_TOPICS = (
-    GraphTopic("session", "std_msgs/msg/String", latched=True),
-    GraphTopic("reading", "sensor_msgs/msg/JointState", latched=True, depth=20000),
-    GraphTopic("axes/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", depth=10),
-    GraphTopic("joint_states", "sensor_msgs/msg/JointState", depth=100),
-    GraphTopic("axes/executed", "trajectory_msgs/msg/JointTrajectory", depth=100),
-    GraphTopic("axes/status", _STATUS, depth=100),
-    GraphTopic("truth/functional_point", "geometry_msgs/msg/PoseStamped", depth=100),
-    GraphTopic("truth/table", "geometry_msgs/msg/PoseStamped", depth=100),
-    GraphTopic("pointer/command", "geometry_msgs/msg/PointStamped", depth=10),
-    GraphTopic("pointer/target", "sensor_msgs/msg/JointState", depth=10),
-    GraphTopic("pointer/state", "sensor_msgs/msg/JointState", depth=100),
-    GraphTopic("pointer/status", _STATUS, latched=True),
-    GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped", depth=100),
-    GraphTopic("instrument/displacement", "std_msgs/msg/Float64MultiArray", depth=100),
-    GraphTopic("instrument/status", _STATUS, latched=True),
-    GraphTopic("instrument/outcome", _STATUS, latched=True, depth=10),
-    GraphTopic("probe/trigger", "sensor_msgs/msg/JointState", depth=100),
-    *(
-        GraphTopic(f"environment/temperature_{place}", "sensor_msgs/msg/Temperature", depth=10)
-        for place in ("air", "x", "y", "z", "table", "work")
-    ),
-    GraphTopic("environment/air_pressure", "sensor_msgs/msg/FluidPressure", depth=10),
-    GraphTopic("environment/relative_humidity", "sensor_msgs/msg/RelativeHumidity", depth=10),
-    GraphTopic("procedure/status", _STATUS, latched=True),
-    GraphTopic("until/status", _STATUS, latched=True),
-    GraphTopic("error_map", "sensor_msgs/msg/PointCloud2", latched=True),
-    GraphTopic("error_map/axes", "sensor_msgs/msg/PointCloud2", latched=True),
-    GraphTopic("error_map/arrows", "visualization_msgs/msg/MarkerArray", latched=True),
-    GraphTopic("error_map/result", "std_msgs/msg/String", latched=True),
-    GraphTopic("residuals", "sensor_msgs/msg/PointCloud2", latched=True),
-    GraphTopic("comparison/result", "std_msgs/msg/String", latched=True),
-    GraphTopic("diagnosis", _STATUS, latched=True),
-    GraphTopic("diagnosis/result", "std_msgs/msg/String", latched=True),
-    GraphTopic("improvement/result", "std_msgs/msg/String", latched=True),
-    GraphTopic("estimator/status", _STATUS, latched=True),
-    GraphTopic("estimator/goals", "action_msgs/msg/GoalStatusArray", latched=True),
-    GraphTopic("estimator/outcome", _STATUS, latched=True),
+_TABLE = resources.files("machine_tool_calibration.recording") / "graph.yaml"
+GRAPH_TOPICS = tuple(
+    GraphTopic(name, **entry) for name, entry in yaml.safe_load(_TABLE.read_text(encoding="utf-8")).items()
 )
 """Subscribed from the start, so that a node that comes later loses nothing."""
 

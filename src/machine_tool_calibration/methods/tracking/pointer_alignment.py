@@ -139,7 +139,7 @@ class _Mixed:
 
     def at(self, ratio: float) -> tuple[Array, float, float]:
         """(p, m) best linear unbiased estimator, variance of a reading, logarithm of the restricted likelihood."""
-        weight = self._weight(ratio)
+        weight = np.asarray(np.linalg.inv(np.eye(len(self.inner)) + ratio * self.random @ self.random.T))
         information = self.fixed.T @ weight @ self.fixed
         solve = np.linalg.solve(information, self.fixed.T @ weight)
         left = self.inner - self.fixed @ (solve @ self.inner)
@@ -168,9 +168,6 @@ class _Mixed:
         radial = np.sum([w * r * part @ part.T for w, r, part in zip(weights, ratios, leaked, strict=True)], axis=0)
         radial += (values - mean).T @ ((values - mean) * share[:, None])
         return mean, noise, radial, (float(weights.sum()), float(weights @ ratios))
-
-    def _weight(self, ratio: float) -> Array:
-        return np.asarray(np.linalg.inv(np.eye(len(self.inner)) + ratio * self.random @ self.random.T))
 
 
 def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | None = None) -> ZeroAngle:

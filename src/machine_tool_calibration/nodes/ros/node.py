@@ -5,10 +5,12 @@ import inspect
 import math
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, TypeVar, cast
+from importlib import resources
+from typing import Any
 
+import yaml
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
@@ -26,8 +28,7 @@ from rclpy.timer import Timer
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.sound import require_sound
 
-Value = TypeVar("Value")
-
+_PARAMETERS = resources.files("machine_tool_calibration.nodes") / "parameters.yaml"
 _BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
 _REASON_LENGTH = 200  # characters of a reason
 # A service's usual queue holds 10 requests of all its clients, and each client's 10 answers, those to the other clients
@@ -71,20 +72,18 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     def declare(
         self,
         name: str,
-        default: Value,
-        description: str,
+        default: Any,
+        says: str,
         unit: str = "",
-        within: tuple[float | None, float | None] = (None, None),
+        within: Sequence[float | None] = (None, None),
         *,
-        choices: tuple[str, ...] = (),
+        choices: Sequence[str] = (),
         read_only: bool = True,
-    ) -> Value:
-        """Declare a parameter and return its value; of one that is declared already the present value.
-
-        The default gives the type. `read_only`: it can be set only as long as the node is not configured.
-        """
-        if self.has_parameter(name) and name not in self._given:
-            return cast("Value", self.get_parameter(name).value)
+        in_simulated_time: Any = None,
+    ) -> None:
+        """Declare a parameter by an entry of `parameters.yaml`."""
+        if in_simulated_time is not None and self.lives_in_simulated_time:
+            default = in_simulated_time
         if name in self._given:
             self._given.discard(name)
             self.undeclare_parameter(name)
@@ -94,10 +93,10 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
             constraints.append("set while the node is not configured")
         descriptor = ParameterDescriptor(
             name=name,
-            description=f"{description} [{unit}]" if unit else description,
+            description=f"{says} [{unit}]" if unit else says,
             additional_constraints="; ".join(constraints),
         )
-        if within != (None, None):
+        if any(end is not None for end in within):
             low, high = (-1e308 if within[0] is None else within[0]), (1e308 if within[1] is None else within[1])
             if isinstance(default, float):
                 descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
@@ -105,8 +104,8 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
                 low, high = max(low, -(2**63)), min(high, 2**63 - 1)
                 descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         if choices:
-            self.choices[name] = choices
-        return cast("Value", self.declare_parameter(name, default, descriptor).value)
+            self.choices[name] = tuple(choices)
+        self.declare_parameter(name, default, descriptor)
 
     def say_unknown_parameters(self) -> None:
         """A parameter that was given and that the node does not have would be passed over without a word."""
@@ -223,7 +222,8 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
 
     def __init__(self) -> None:
         self._is_active = False
-        GuardedNode.__init__(self, type(self).__module__.rpartition(".")[2])
+        kind = type(self).__module__.rpartition(".")[2]
+        GuardedNode.__init__(self, kind)
         LifecycleNodeMixin.__init__(self)
         for service in self.services:
             if service.srv_type is ChangeState:
@@ -231,16 +231,26 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         self.fault = ""  # why the last transition failed; empty if it did not
         self.done = False  # whether the node has nothing more to do, which ends its process
         self._kept: set[Any] = set()  # what the node has before it is activated
-        self.autostart = self.declare(
-            "autostart", True, "whether the node configures and activates itself; false: a lifecycle manager does"
-        )
+        every = yaml.safe_load(_PARAMETERS.read_text(encoding="utf-8"))
+        for parameter, entry in (every["every_node"] | every[kind]).items():
+            self.declare(parameter, **entry)
+        (self.autostart,) = self.values("autostart")
         self.settings()
         self.say_unknown_parameters()
+
+    def values(self, *names: str) -> list[Any]:
+        """What parameters of these names are set to."""
+        return [self.get_parameter(name).value for name in names]
+
+    def site_and_origin(self) -> tuple[str, int]:
+        """The parameters `site` and `time_origin`: the file, and the ROS time at which the site's time is zero, ns."""
+        file, origin = self.values("site", "time_origin")
+        return file, round(origin * 1e9) or time.time_ns()
 
     # --- for nodes to override; they raise CalibrationError where it cannot be done
 
     def settings(self) -> None:
-        """Declare the parameters and take their values; called at the start, and again when it is configured."""
+        """Take the values of the parameters; called at the start, and again when it is configured."""
 
     def configure(self) -> None:
         """Read what the parameters name."""
