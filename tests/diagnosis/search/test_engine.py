@@ -243,7 +243,7 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
     session = simulated("rotary_axis_one_way", 4, [FlawSpec(id="station_drift", amplitude=6e-6)])
     # Of its look-alikes, some of which the data determines, none is looked for.
     only = {"station_drift": catalogue()["station_drift"]}
-    monkeypatch.setattr("machine_tool_calibration.methods.fitted.catalogue", lambda own: only)
+    monkeypatch.setattr("machine_tool_calibration.methods.fitted.catalogue", lambda *_: only)
     monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.predictions", lambda *_: {})
     found = diagnose(session)
     assert found.search.accepted == ("station_drift",)
