@@ -266,7 +266,8 @@ def _possible(
     """The search among all effects but those that cannot be what is missing, as often as it finds such.
 
     What was probable beside them alone is not any longer. What is probable in their place alone is no cause for that,
-    but where it is a special case that explains more.
+    but where a special case of them explains more. Where those that can be added explain nearly as much as all did,
+    nothing is looked for again.
 
     Returns:
         The search; how its effects do on readings that were left out; the first model's fit and one after every effect

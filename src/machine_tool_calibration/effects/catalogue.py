@@ -40,6 +40,7 @@ from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.effects.workpiece_thermal import WorkpieceThermal
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
+from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 
 ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
@@ -96,9 +97,8 @@ def catalogue(own: Sequence[Effect] = (), recorded: Sequence[str] = ()) -> dict[
     for effect in _plugins():
         out.setdefault(effect.id, effect)
     if recorded:
-        # Of the air others take the refractive index.
-        taken = {name for effect in out.values() if effect.kind == "position" for name in effect.needs}
-        for effect in recorded_effects(name for name in recorded if name not in taken):
+        taken = {name for effect in out.values() for name in effect.needs}.difference(NUMERIC_COLUMNS)
+        for effect in recorded_effects([name for name in recorded if name not in taken]):
             out.setdefault(effect.id, effect)
     for effect in own:
         if effect.id in out:

@@ -2,7 +2,7 @@
 """An axis follows a quantity of the user's own that was recorded: e_x = (quantity - reference) (k x - q)."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from machine_tool_calibration.words import say
 
 # m, over all that was recorded of the quantity: what a frame grows by at most (`effects.warmup`).
 _LARGEST = 5e-4
+# Columns that have effects: a control's whole log has hundreds, of which any hundred go with what was measured.
+_MOST_COLUMNS = 12
 _LINEAR = "xyz"
 _TEMPERATURE, _AIR = "temperature_", "temperature_air"
 _ID = re.compile(rf"follows_(?P<late>late_)?(?P<column>[A-Za-z_]\w*)_(?P<axis>[{_LINEAR}])")
@@ -44,13 +46,6 @@ class Follows(ThermalExpansion):
     @property
     def _names(self) -> dict[str, str]:
         return super()._names | {"column": self.column}
-
-    def why_not(self, observations: Observations) -> str | None:
-        """As any effect's; the air stands for a sensor of the axis where there is none."""
-        own = f"{_TEMPERATURE}{self.axis}"
-        if self.column == _AIR and own in observations.readings.columns:
-            return f"the column {own} was recorded"
-        return super().why_not(observations)
 
     def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the column over its reference."""
@@ -84,10 +79,15 @@ class FollowsLate(ThermalLag, Follows):
     contains = (Follows.id,)
 
 
-def recorded_effects(columns: Iterable[str]) -> tuple[Effect, ...]:
-    """The effects of those columns, by name, that are none of the known ones, and of the air's temperature."""
-    own = [column for column in columns if column not in NUMERIC_COLUMNS or column == _AIR]
-    every = [effect(column, axis) for column in own for axis in _LINEAR for effect in (Follows, FollowsLate)]
+def recorded_effects(columns: Sequence[str]) -> tuple[Effect, ...]:
+    """The effects of those columns, by name, that are none of the known ones, and of the air for axes without a sensor.
+
+    Of many columns the first have them; any other has by its id (`recorded_effect`).
+    """
+    own = [(column, axis) for column in columns if column not in NUMERIC_COLUMNS for axis in _LINEAR]
+    own = own[: _MOST_COLUMNS * len(_LINEAR)]
+    own += [(_AIR, axis) for axis in _LINEAR if _AIR in columns and f"{_TEMPERATURE}{axis}" not in columns]
+    every = [effect(*one) for one in own for effect in (Follows, FollowsLate)]
     return tuple(effect for effect in every if _ID.fullmatch(effect.id))
 
 
