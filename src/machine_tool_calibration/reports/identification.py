@@ -79,7 +79,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     if error.size:
         count = len(error)
         places = len({tuple(point) for point in error_map.get("points") or ()}) or count
-        told = str(count) if places == count else say("result.points_at", n=count, places=places)
+        told = str(count) if places == count else say("result.points_at", n=places, count=count)
         rows.append((say("result.points"), told))
         text = say("text.not_determined")
         expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
