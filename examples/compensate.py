@@ -69,7 +69,9 @@ def main() -> None:
     rclpy.init()
     node = Compensate()
     try:
-        rclpy.spin(node)
+        # With a timeout: a signal that comes just before the wait ends it a second later, and not never.
+        while rclpy.ok():
+            rclpy.spin_once(node, timeout_sec=1.0)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
