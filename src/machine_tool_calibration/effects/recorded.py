@@ -35,6 +35,11 @@ class Follows(ThermalExpansion):
     title = say("effect.follows")
     formula = say("formula.follows")
     source = "ISO 230-3, thermal distortion by temperatures of the structure"
+    # Of an axis of a metre, over all that was recorded; `coefficients_for` has them per unit.
+    coefficients = (
+        Coefficient("q", "m", -_LARGEST, _LARGEST, say("coefficient.follows_over_all")),
+        Coefficient("k", "1", -_LARGEST, _LARGEST, say("coefficient.follows_scale_over_all")),
+    )
     needs: tuple[str, ...] = ("{axis}", "{column}")
     tolerance = 0.3  # what grows is warm elsewhere than at the sensor, and has more than one time constant
 
