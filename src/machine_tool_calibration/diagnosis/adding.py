@@ -90,10 +90,10 @@ def _not_themselves(
     names: tuple[str, ...],
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> dict[str, str]:
-    """Why some of the effects are not what is missing, by name: those that have no size, or of what decays no sense.
+    """Which of the effects is not what is missing, and why: one at most, as without it the others may be.
 
-    Of those that have no size beside the others, or take each other back, the one that is needed least: without it the
-    others may be what is missing.
+    Of those that have no size beside the others, or that decay and take each other back, it is the one that is needed
+    least; else one that decays and explains less than a special case of it.
 
     Args:
         search: what was found.
@@ -106,7 +106,7 @@ def _not_themselves(
         return fit_with(ids).joint.solution.chi_square
 
     def least_needed(some: Sequence[str]) -> str:
-        return min(some, key=lambda one: chi_square(tuple(n for n in names if n != one)) if len(some) > 1 else 0.0)
+        return some[0] if len(some) == 1 else min(some, key=lambda one: chi_square(tuple(n for n in names if n != one)))
 
     after, last = fit_with(names).joint, names[-1]
     decaying = [name for name in names if search.of(name).candidate.decays]
@@ -118,8 +118,9 @@ def _not_themselves(
     if not decaying:
         return {}
     # What each changes that the model does not absorb, and the residual.
-    squares = np.diag(Pool(before).screen(np.array([effect_signal(after, name)[0] for name in decaying])).gram)
-    multiple = [n for n, own in zip(decaying, squares, strict=False) if own > priors.TAKEN_BACK**2 * squares[-1]]
+    signals = np.array([effect_signal(after, name)[0] for name in decaying])
+    *squares, left = np.diag(Pool(before).screen(signals).gram)
+    multiple = [name for name, own in zip(decaying, squares, strict=True) if own > priors.TAKEN_BACK**2 * left]
     if multiple:
         return {least_needed(multiple): say("undetermined.taken_back")}
     known = {f.name for f in search.findings if f.rank}

@@ -299,14 +299,14 @@ def _possible(
         fitted, ruled_out, impossible = with_probable(names, search, predicted, first, fit_with)
         refused |= ruled_out
         if ruled_out and not needless(names, fitted, fit_with):
-            cases = {case for name in ruled_out for case in simpler(search.of(name).candidate, fit_with)}
-            possible = {candidate.name for candidate in candidates} if cases else set(names)
+            instead = any(simpler(search.of(name).candidate, fit_with) for name in ruled_out)
+            possible = {candidate.name for candidate in candidates} if instead else set(names)
             gone += map(search.of, ruled_out)
         else:
             # The refused keep what was found of them.
             search = replace(search, findings=in_order([*search.findings, *gone]))
-            instead = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))
-            impossible |= {name: instead for name in search.accepted if name not in names}
+            in_place = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))
+            impossible |= {name: in_place for name in search.accepted if name not in names}
             return search, predicted, fitted, refused | impossible
 
 

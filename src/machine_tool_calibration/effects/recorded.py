@@ -10,12 +10,11 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE, ThermalExpansion
 from machine_tool_calibration.effects.thermal_lag import ThermalLag
+from machine_tool_calibration.effects.warmup import LARGEST_GROWTH
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.words import say
 
-# m, over all that was recorded of the quantity: what a frame grows by at most (`effects.warmup`).
-_LARGEST = 5e-4
 # Columns that have effects: a control's whole log has hundreds, of which any hundred go with what was measured.
 _MOST_COLUMNS = 12
 _LINEAR = "xyz"
@@ -37,8 +36,8 @@ class Follows(ThermalExpansion):
     source = "ISO 230-3, thermal distortion by temperatures of the structure"
     # Of an axis of a metre, over all that was recorded; `coefficients_for` has them per unit.
     coefficients = (
-        Coefficient("q", "m", -_LARGEST, _LARGEST, say("coefficient.follows_over_all")),
-        Coefficient("k", "1", -_LARGEST, _LARGEST, say("coefficient.follows_scale_over_all")),
+        Coefficient("q", "m", -LARGEST_GROWTH, LARGEST_GROWTH, say("coefficient.follows_over_all")),
+        Coefficient("k", "1", -LARGEST_GROWTH, LARGEST_GROWTH, say("coefficient.follows_scale_over_all")),
     )
     needs: tuple[str, ...] = ("{axis}", "{column}")
     tolerance = 0.3  # what grows is warm elsewhere than at the sensor, and has more than one time constant
@@ -59,7 +58,7 @@ class Follows(ThermalExpansion):
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """A shift, and a scale where the axis moves; as large as a frame's growth over what was recorded."""
-        over = _LARGEST / max(float(np.ptp(observations.readings.column(self.column))), 1e-12)
+        over = LARGEST_GROWTH / max(float(np.ptp(observations.readings.column(self.column))), 1e-12)
         extent = float(np.ptp(observations.readings.column(self.axis)))
         per_unit = "/K" if self.column.startswith(_TEMPERATURE) else ""
         meaning = say("coefficient.follows", column=self.column)

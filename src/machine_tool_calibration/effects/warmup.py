@@ -9,8 +9,8 @@ from machine_tool_calibration.effects.families import LateEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-# m, what an aluminium frame of half a metre grows by while it warms by 40 K; a cast one by a quarter of it.
-_LARGEST_GROWTH = 5e-4
+LARGEST_GROWTH = 5e-4
+"""m, what an aluminium frame of half a metre grows by while it warms by 40 K; a cast one by a quarter of it."""
 
 
 class Warmup(LateEffect):
@@ -21,7 +21,7 @@ class Warmup(LateEffect):
     formula = say("formula.warm_up")
     source = "ISO 230-3, thermal distortion caused by moving axes"
     tolerance = 0.3  # machines have more than one time constant
-    coefficients = (Coefficient("a", "m", -_LARGEST_GROWTH, _LARGEST_GROWTH, say("coefficient.when_warm")),)
+    coefficients = (Coefficient("a", "m", -LARGEST_GROWTH, LARGEST_GROWTH, say("coefficient.when_warm")),)
     needs = ("{axis}", "time")
     covariates = ("time",)
 

@@ -2,6 +2,7 @@
 """A form for an effect of the user's own by its formula, checked as it is typed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from html import escape
 from typing import Any
@@ -18,13 +19,8 @@ from machine_tool_calibration.workbench.state import State
 def addable(state: State) -> list[str]:
     """Ids of the effects that can act in the measurement and are not in the model in use."""
     observations = [one.fit.model.observations for one in state.model.each]
-    return [
-        name
-        for name, effect in catalogue(
-            tuple(state.own.values()), [c for o in observations for c in o.readings.columns]
-        ).items()
-        if name not in state.model.fit.effects and any(effect.why_not(each) is None for each in observations)
-    ]
+    absent = replace(state.model.fit.chosen, own=tuple(state.own.values())).absent
+    return [effect.id for effect in absent if any(effect.why_not(each) is None for each in observations)]
 
 
 def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
