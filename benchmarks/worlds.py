@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from machine_tool_calibration.arrays import Array, rigid_motions
+from machine_tool_calibration.arrays import Array, IntArray, rigid_motions
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -145,12 +145,24 @@ def imperfections(rng: np.random.Generator, readings: Readings) -> Array:
     for own in (readings.setup == k for k in np.unique(readings.setup)):
         out[own] += smooth(rng, readings.select(own))
     out *= _STRUCTURE / np.std(out)
-    run = np.cumsum(np.r_[0, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)])
-    for own in (np.flatnonzero(run == k) for k in range(run[-1] + 1)):
+    for own in runs_of(readings):
         noise = rng.standard_t(_TAILS, len(own)) * np.sqrt((_TAILS - 2.0) / _TAILS)
-        for i in range(1, len(own)):
-            noise[i] = _MEMORY * noise[i - 1] + np.sqrt(1.0 - _MEMORY**2) * noise[i]
-        out[own] += noise + _WALK * np.cumsum(rng.normal(size=len(own))) / np.sqrt(len(own))
+        walk = np.cumsum(rng.normal(size=len(own))) / np.sqrt(len(own))
+        out[own] += remembering(noise, _MEMORY) + _WALK * walk
+    return out
+
+
+def runs_of(readings: Readings) -> list[IntArray]:
+    """Readings of a setup in one repeat."""
+    run = np.cumsum(np.r_[0, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)])
+    return [np.flatnonzero(run == k) for k in range(run[-1] + 1)]
+
+
+def remembering(noise: Array, correlation: float) -> Array:
+    """(n,) noise, independent from reading to reading, with a correlation of neighbours."""
+    out = noise.copy()
+    for k in range(1, len(out)):
+        out[k] = correlation * out[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
     return out
 
 
@@ -239,6 +251,7 @@ def machining(
     spread: tuple[float, float] = (0.0, 0.0),
     gross: bool = False,
     imperfect: bool = False,
+    memory: tuple[float, float] = (0.0, 0.0),
 ) -> World:
     """A session of a plan on a random machine, with effects of these sizes hidden."""
     rng = np.random.default_rng([seed, 11])
@@ -253,6 +266,11 @@ def machining(
     if imperfect:
         broken = since_first(sigma * imperfections(rng, readings), simulated.truth.datum)
         law += _LAW * wander(rng, readings.columns["time"])
+    elif memory[1]:
+        correlation, broken = rng.uniform(*memory), np.zeros(len(readings))
+        for own in runs_of(readings):
+            broken[own] = sigma * remembering(rng.normal(size=len(own)), correlation)
+        broken = since_first(broken, simulated.truth.datum)
     else:
         noisy = simulate(spec.model_copy(update=slopes)).session
         broken = noisy.readings.displacement - readings.displacement
@@ -378,6 +396,8 @@ ROWS = {
     **{f"stage-{s}": Row(f"stage, yaw of {s} urad", partial(stage, yaw=1e-6 * s), ("zones",)) for s in (0, 1, 5)},
     "transient": Row("transients", transient, ("places", "place")),
     "reversed": Row("reversal of either sign", reversal, ("axis",)),
+    "memory": _row("noise with a memory of 0.5 to 0.95, nothing", _SETUPS, memory=(0.5, 0.95)),
+    "memory-one": _row("noise with a memory, one at 20", _SETUPS, sizes=(20,), memory=(0.5, 0.95)),
     "gross": _row("5 % gross errors", gross=True),
     "gross-one": _row("5 % gross errors, one at 15", sizes=(15,), gross=True),
 }

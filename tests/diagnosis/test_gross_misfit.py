@@ -107,7 +107,7 @@ def test_what_explains_half_of_the_excess_is_no_contradiction(
     found = SimpleNamespace(
         fits=[SimpleNamespace(solution=one) for one in solutions],
         chosen=SimpleNamespace(sessions=[session]),
-        search=SimpleNamespace(variance=variance),
+        search=SimpleNamespace(variance=variance, memory=1.0),
         noisy=noisy,
     )
     assert Diagnosis.contradicted.fget(found) is contradicted  # type: ignore[attr-defined]

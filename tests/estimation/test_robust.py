@@ -167,7 +167,7 @@ PROBABILITIES = (
 
 
 def test_distributions_are_whole() -> None:
-    for sizes in (priors.TAILS, priors.IMPERFECTION_SIZES):
+    for sizes in (priors.TAILS, priors.IMPERFECTION_SIZES, priors.CORRELATIONS):
         assert sum(sizes.values()) == pytest.approx(1.0)
         assert min(sizes.values()) > 0.0 <= min(sizes)
         assert sorted(sizes) == list(sizes)

@@ -58,7 +58,7 @@ def with_probable(
                 continue
             if late:
                 return with_probable(names, search, predicted, first, fit_with, {**unsized, **late})
-            if not _explains(fitted[-1].joint, wider.joint):
+            if not _explains(fitted[-1].joint, wider.joint, search.memory):
                 refused[name] = say("undetermined.explains_nothing")
                 continue
             fitted.append(wider)
@@ -78,10 +78,13 @@ def _settled(fit: JointFit) -> None:
         raise ModelError("together with the model's own unknowns the data does not determine it")
 
 
-def _explains(before: JointFit, after: JointFit) -> bool:
-    """Whether an effect lowers the sum of squares, unknowns that are random functions aside."""
+def _explains(before: JointFit, after: JointFit, memory: float) -> bool:
+    """Whether an effect lowers the sum of squares, unknowns that are random functions aside.
+
+    So many readings tell as much as one independent one.
+    """
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
-    return gain >= priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0)
+    return gain >= priors.LEAST_GAIN * memory * min(after.reduced_chi_square, 1.0)
 
 
 def _not_themselves(

@@ -117,11 +117,11 @@ class Diagnosis:
                 return False
             if repeats is not None:
                 expected, known = (repeats / self.noise.declared) ** 2, self.noise.repeats
-        dof, variance = first.degrees_of_freedom, self.search.variance / expected
+        dof, variance = first.degrees_of_freedom / self.search.memory, self.search.variance / expected
         chance = special.chdtrc(dof, dof * variance) if np.isinf(known) else special.fdtrc(dof, known, variance)
         if self.noisy or variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_P:
             return False
-        excess = first.chi_square - dof * expected
+        excess = first.chi_square - first.degrees_of_freedom * expected
         return first.chi_square - last.chi_square < priors.MOST_OF_THE_EXCESS * excess
 
 

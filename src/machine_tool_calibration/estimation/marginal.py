@@ -46,7 +46,7 @@ class Gram:
     data: Array  # (K,) of these with the data
     squares: float  # squared norm of the data
     family: IntArray  # (u,) family of each spread column
-    dof: int  # degrees of freedom of the readings beside the model's unknowns
+    dof: float  # degrees of freedom of the readings beside the model's unknowns, those that are independent
     # of the last families, where they are known in their own unit: with their prior probabilities
     sizes: tuple[dict[float, float], ...] = ()
     # prior degrees of freedom of the noise; infinite where it is known
@@ -62,6 +62,11 @@ class Gram:
         """Those of the spread's columns alone."""
         own = self.spread
         return replace(self, inner=self.inner[np.ix_(own, own)], data=self.data[own])
+
+    def with_memory(self, readings_per_independent: float) -> Gram:
+        """As from so many fewer readings: where the noise has a memory, what is slow is known no better."""
+        k = readings_per_independent
+        return replace(self, inner=self.inner / k, data=self.data / k, squares=self.squares / k, dof=self.dof / k)
 
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
@@ -162,7 +167,7 @@ class Marginal:
         return Marginal(self, self.ratio, log_prior, half[:, :-1], half[:, -1])
 
 
-def log_noise(squares: Array | float, dof: int) -> Array:
+def log_noise(squares: Array | float, dof: float) -> Array:
     """(..., 2) logarithms of the likelihood of sums of squares, for each of `priors.NOISE_DOF`.
 
     Either it holds, as well as so many readings would say it, or it says next to nothing (inverse-gamma priors of the
@@ -173,13 +178,13 @@ def log_noise(squares: Array | float, dof: int) -> Array:
 
 
 @cache
-def _noise_terms(dof: int) -> tuple[Array, Array, Array]:
+def _noise_terms(dof: float) -> tuple[Array, Array, Array]:
     prior = np.array(priors.NOISE_DOF)
     half = 0.5 * (dof + prior)
     return prior, half, np.asarray(gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior))
 
 
-def noise_variance(squares: Array | float, dof: int) -> Array:
+def noise_variance(squares: Array | float, dof: float) -> Array:
     """Mean of the noise's variance, over that declared, over its prior degrees of freedom (`log_noise`)."""
     prior = np.array(priors.NOISE_DOF)
     each = (prior + np.expand_dims(squares, -1)) / (prior + dof)

@@ -132,7 +132,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         found = _averaged(solved, problem, wide, place, offset, names)
     else:
         repeated = _of_repeats(solved, ())
-        again = (0.0, 0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
+        again = (0.0, 0.0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
         found = _Marginal(
             np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
@@ -216,7 +216,7 @@ def _averaged(
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ [left_at(outside, found.ratios[k])[1] for k in chosen])
-    again = (0.0, 0)
+    again = (0.0, 0.0)
     if repeated is not None and pure is not None:
         again = repeated.whole(left_at(pure, found.ratios[chosen[0]])[1], pure.dof)
     # What does not reproduce is in units of the noise, which places that differ do not change.
@@ -396,7 +396,7 @@ def _of_repeats(solved: Solved, families: Sequence[str]) -> PureError | None:
     return of_repeats(observed, [solved.normalised(k) for k in range(len(observed))], families)
 
 
-def _scatter(squares: float, dof: int, again: tuple[float, int] = (0.0, 0)) -> float:
+def _scatter(squares: float, dof: int, again: tuple[float, float] = (0.0, 0.0)) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
     Less scatter makes nothing better: an instrument may be off by the same amount everywhere. Where readings of the

@@ -56,6 +56,17 @@ class Observations:
         return self.readings.columns["time"] if self.timed else self.readings.row.astype(float)
 
     @property
+    def neighbours(self) -> tuple[IntArray, IntArray]:
+        """(k,) readings that came right before another of their setup, and (k,) these."""
+        # An x and a y that are read by turns come from an instrument each.
+        directions = groups(*np.round(self.direction.T * 1e6))
+        by_turns = directions.max(initial=0) < len(self.direction.T)
+        setup = groups(self.readings.setup, directions) if by_turns else self.readings.setup
+        order = np.lexsort((self.readings.row, self.clock, setup))
+        same = np.diff(setup[order]) == 0
+        return order[:-1][same], order[1:][same]
+
+    @property
     def place(self) -> IntArray:
         """(n,) index shared by readings that repeat each other: same setup, place, target and direction of approach."""
         readings = self.readings

@@ -91,7 +91,7 @@ class PureError:
     dof: int  # degrees of freedom
     lost: int = 0  # those of readings that were left out, as there are many
 
-    def whole(self, squares: float, dof: int) -> tuple[float, int]:
+    def whole(self, squares: float, dof: float) -> tuple[float, float]:
         """A sum of squares and its degrees of freedom, as they are with the readings that were left out."""
         return squares * (dof + self.lost) / dof, dof + self.lost
 

@@ -52,6 +52,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
             "repeats_degrees_of_freedom": noise.repeats,
             "chi_square_p_value": noise.chi_square_p,
             "lack_of_fit_p_value": noise.lack_of_fit_p,
+            "readings_per_independent": look.memory,
         },
         "spread": [size.document() for size in diagnosis.fits[-1].marginal.sizes],
         "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},

@@ -39,6 +39,8 @@ AS_GOOD = 0.1
 _OF_PLACES = ("place", "target")
 # What does not reproduce over the residual, from which it is what limits.
 _LIMITS = 0.7
+# Readings for one independent one from which the memory of the noise is told.
+_MEMORY = 1.5
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 
@@ -66,6 +68,8 @@ def verdict_words(
     if diagnosis.gross_errors and diagnosis.verdict != "outliers":
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
+    if diagnosis.search.memory >= _MEMORY:
+        yield say("diagnosis.memory", n=round(diagnosis.search.memory))
     yield from _noise(diagnosis)
 
 

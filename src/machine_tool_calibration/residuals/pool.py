@@ -11,7 +11,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import Projected
-from machine_tool_calibration.model.fit import JointFit, screen_columns
+from machine_tool_calibration.estimation.serial_correlation import Memory, memory_of
+from machine_tool_calibration.model.fit import JointFit, changed, screen_columns
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
@@ -52,6 +53,21 @@ class Pool:
     def residuals(self) -> Array:
         """(n,) measured minus predicted, m."""
         return np.concatenate([fit.residuals for fit in self.fit.fits])
+
+    def residuals_beside(self, change: Array) -> Array:
+        """(n,) measured minus predicted, m, of the fit to the readings without a change of these, m."""
+        fit = changed(self.fit.without_random, [-change[piece] for piece in self.pieces])
+        return np.concatenate([own.residuals for own in fit.fits]) - change
+
+    def memory(self, residuals: Array) -> Memory:
+        """What residuals (n,), m, say of the noise's memory."""
+        pairs = [o.neighbours for o in self.observations]
+        before, after = (
+            np.concatenate([pair[k] + piece.start for pair, piece in zip(pairs, self.pieces, strict=True)])
+            for k in (0, 1)
+        )
+        dof = self.fit.without_random.solution.degrees_of_freedom
+        return memory_of(residuals / self.sigma, before, after, dof, priors.DECLARED_DOF)
 
     @cached_property
     def run(self) -> IntArray:

@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logit
+from scipy.special import logit, logsumexp
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, to_some_percent
-from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
+from machine_tool_calibration.diagnosis.search.columns import Columns, exclusive, outside_the_model
+from machine_tool_calibration.diagnosis.search.evidence import columns_of, table
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
-    basis_of,
     finding_of,
     fitted_in,
     in_order,
@@ -24,8 +24,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
 )
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, marginal_at
-from machine_tool_calibration.estimation.reduction import Projected
+from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
 from machine_tool_calibration.residuals.noise import Noise, noise_of
@@ -34,13 +33,12 @@ from machine_tool_calibration.words import say
 
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
-# Numbers of first coefficients of an effect that are tried alone.
-_LEADING = (1, 2, 4)
 # Effects whose laws are tried with their tolerances in any case.
 _BEST = 6
-# Share of a column's squares that its variation within the runs is at least explained for, and squares of a column of
-# zeros.
-_CONSTANT, _NONE = 1e-6, 1e-100
+
+
+# Memories of the noise that are tried; share by which they are the same.
+_MEMORIES, _SAME_MEMORY = 6, 0.1
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,7 @@ class EffectSearch:
     # unknowns that are random functions in theirs
     spread: dict[str, float]
     variance: float  # of the noise beside them, over that declared
+    memory: float  # readings that tell as much of what is slow as one independent reading
     signals: Mapping[str, Array]  # of every member of the most probable set, (n,) what it changes in the readings, m
     without_cause: Array  # (k, n) columns of the structures in the most probable set, and of what its laws leave open
     expected: Array  # (k,) standard deviation of their coefficients
@@ -112,13 +111,13 @@ def search_effects(
         side_by_side: whether many effects are expected at once.
         exact_laws: whether laws are taken to hold exactly, for a first look.
     """
-    columns = _columns(Pool(fit), candidates, structures)
-    found = _searched(columns, side_by_side, at_first=True)
+    columns = outside_the_model(Pool(fit), candidates, structures)
+    memory, found = _with_memory(columns, side_by_side)
     # What may be in is looked at again with laws that hold to some percent.
     if not exact_laws:
         tried = _to_some_percent(columns, found)
-        columns = _columns(columns.pool, tried, structures) if tried else columns
-        found = _searched(columns, side_by_side)
+        columns = outside_the_model(columns.pool, tried, structures) if tried else columns
+        found = _searched(columns, side_by_side, memory)
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
@@ -141,13 +140,14 @@ def search_effects(
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.marginals[0].ratio, strict=True)),
         variance=found.variance,
+        memory=memory,
         signals={columns.candidates[k].name: _signal(columns, found, k) for k in found.best},
         without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *(further for further, _ in without_cause)]),
         expected=np.concatenate([np.zeros(0), *(expected for _, expected in without_cause)]),
     )
 
 
-def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
+def _to_some_percent(columns: Columns, found: Posterior) -> list[Candidate]:
     """The effects, those that may be in with what their laws leave open; none where no law does."""
     out, changed = columns.candidates[: columns.effects], False
     ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k])
@@ -159,26 +159,66 @@ def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
     return out if changed else []
 
 
-def _searched(columns: _Columns, side_by_side: bool, *, at_first: bool = False) -> Posterior:
+def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior]:
+    """Readings that tell as much as one independent one, and the first look by that.
+
+    A missing effect makes residuals of neighbours alike, and so does noise with a memory, which would in turn be taken
+    for effects. Both are weighed against each other: by the likelihood of what is left, and what the sets cost.
+    """
+    pool, tried = columns.pool, dict[float, tuple[float, Posterior]]()
+    then = [pool.memory(pool.residuals_beside(np.zeros(len(pool)))).readings_per_independent]
+    asked = dict[float, list[float]]()
+    while then and len(tried) < _MEMORIES:
+        k = then[0]
+        found = _searched(columns, side_by_side, k, at_first=True)
+        beside = pool.memory(pool.residuals_beside(_change(columns, found)))
+        own, none = beside.log_evidence_of(k), beside.log_evidence_of(1.0)
+        tried[k] = own + _log_spent(found), found
+        # What is found by less memory leaves less again: as much further down as it came; none, unless no effect could
+        # make up for what it leaves alike; and half of it.
+        left = beside.readings_per_independent
+        asked[k] = [max(left * min(left / k, 1.0), 1.0), 1.0 if own - none < priors.MADE_UP_FOR else k, k**0.5]
+        best = max(tried, key=lambda k: tried[k][0])
+        then = [one for one in asked[best] if all(abs(one / other - 1.0) > _SAME_MEMORY for other in tried)]
+    return best, tried[best][1]
+
+
+def _log_spent(found: Posterior) -> float:
+    """Logarithm of the evidence of all sets, without the likelihood of what the most probable one leaves."""
+    left = found.marginals_with(found.best)[0]
+    return float(logsumexp(list(found.log_weights.values())) - left.gram.log_likelihood(left.squares))
+
+
+def _change(columns: Columns, found: Posterior) -> Array:
+    """(n,) what the most probable set, and what does not reproduce beside it, change in the readings, m."""
+    marginal = found.marginals[0]
+    blocks = [(columns.blocks[point.block], point.scale) for point in found.best.values()]
+    scale = np.concatenate([*(block.unit * size for block, size in blocks), marginal.tau])
+    place = np.append(columns_of(block for block, _ in blocks), marginal.gram.spread)
+    every = np.concatenate([*(block.shaped.every for block, _ in blocks), columns.pool.spread[0]])
+    inner = marginal.gram.inner[np.ix_(place, place)] * np.outer(scale, scale) + np.eye(len(place))
+    return np.asarray((scale * np.linalg.solve(inner, scale * marginal.gram.data[place])) @ every)
+
+
+def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: bool = False) -> Posterior:
     effects = [k for k in columns.seen if k < columns.effects]
     prior = np.zeros(len(columns.candidates))
     prior[columns.seen] = priors.STRUCTURE
     often = np.array([priors.SELDOM ** -float(columns.candidates[k].is_seldom) for k in effects])
     prior[effects] = often * min(priors.EFFECT, 1.0 / max(often.sum(), 1.0))
     log_odds = logit(prior)
-    exclusive = _exclusive(columns)
     return search(
-        columns.gram,
+        columns.gram.with_memory(memory),
         columns.blocks,
         log_odds,
         side_by_side=side_by_side,
         pairs_among=effects,
-        exclusive=exclusive,
+        exclusive=exclusive(columns),
         at_first=at_first,
     )
 
 
-def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
+def _signal(columns: Columns, found: Posterior, k: int) -> Array:
     """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
     point = found.point_of(k)
     block = columns.blocks[point.block]
@@ -186,7 +226,7 @@ def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
     return np.asarray(posterior_of(marginal, block, point)[0] @ block.shaped.every)
 
 
-def _without_cause(columns: _Columns, found: Posterior, k: int) -> tuple[Array, Array]:
+def _without_cause(columns: Columns, found: Posterior, k: int) -> tuple[Array, Array]:
     """Columns of a structure in the most probable set, or by which an effect differs from its law; what is expected."""
     point = found.best[k]
     block = columns.blocks[point.block]
@@ -194,140 +234,14 @@ def _without_cause(columns: _Columns, found: Posterior, k: int) -> tuple[Array, 
     return block.shaped.every[first:], (block.unit * point.scale)[first:]
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Everything that is looked for, outside the model."""
-
-    pool: Pool  # the readings
-    candidates: list[Candidate]  # effects, then what has no cause
-    effects: int  # how many effects there are
-    # what the model leaves of all columns of all candidates, and of those of what does not reproduce
-    projected: Projected
-    gram: Gram  # inner products
-    blocks: list[Block]  # of what the model does not absorb
-
-    @property
-    def place(self) -> dict[str, int]:
-        """Number of each candidate, by name."""
-        return {candidate.name: k for k, candidate in enumerate(self.candidates)}
-
-    @property
-    def seen(self) -> list[int]:
-        """Numbers of the candidates that the model does not absorb."""
-        return sorted({block.candidate for block in self.blocks})
-
-
-def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
-    every = [*candidates, *structures]
-    columns = np.concatenate([np.zeros((0, len(pool))), *(s.every for c in every for s in c.shapes)])
-    projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
-    gram, k = gram_of(pool, projected), len(columns)
-    # What does not vary within the runs has rounding there.
-    before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
-    blocks, plain, first = list[Block](), list[tuple[slice, Array]](), 0
-    for c, candidate in enumerate(every):
-        if c == len(candidates):
-            own_places = (block.own for block in blocks if not block.shaped.shape)
-            plain = [(place, basis_of(gram.inner[place, place])) for place in own_places]
-        few = _few(candidate, candidates)
-        for shaped in candidate.shapes:
-            past = first + len(shaped.every)
-            if c >= len(candidates) and _is_an_effect(plain, gram.inner, first, shaped):
-                shaped, first = replace(shaped, columns=shaped.columns[1:]), first + 1
-            # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
-            # their share of the probability, and nothing shows them.
-            leading = [shaped.leading(count) for count in few if count < len(shaped.columns)]
-            # A law may hold exactly, too.
-            leading += [replace(shaped, law=None)] if shaped.law is not None else []
-            for own in (*leading, shaped):
-                place = slice(first, first + len(own.every))
-                squares = before[place]
-                if (
-                    np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1]
-                    > priors.ABSORBED
-                ):
-                    share = -float(np.log(candidate.count * (len(leading) + 1)))
-                    blocks.append(Block.of(c, place, own, squares, share))
-            first = past
-    blocks = _without_repeated(blocks, gram.inner, len(candidates))
-    return _Columns(pool, every, len(candidates), projected, gram, blocks)
-
-
-def _exclusive(columns: _Columns) -> list[frozenset[int]]:
-    """Pairs of effects of which one contains the other."""
-    place = columns.place
-    every = enumerate(columns.candidates)
-    return [frozenset((k, place[name])) for k, c in every for name in c.contains if name in place]
-
-
-def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:
-    """Numbers of first columns that are tried alone: of a series, the further coefficients are often nothing.
-
-    Not so few that they are one of the effects that it contains.
-    """
-    if candidate.effect is None or candidate.effect.setup_level:
-        return []
-    least, first = 1, candidate.shapes[0].columns
-    for own in (other.shapes[0].columns for other in others if other.name in candidate.contains):
-        if np.allclose(first[: len(own)], own, atol=1e-12):
-            least = max(least, len(own) + 1)
-    return [count for count in _LEADING if count >= least]
-
-
-def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int, shaped: Shaped) -> bool:
-    """Whether the first function of a structure, a straight line, is what an effect does: then it is that effect.
-
-    Beside a structure that holds it the effect would only have what is left, and the structure is in no model.
-
-    Args:
-        plain: places and bases of the columns of the effects without nonlinear coefficients.
-        inner: (K, K) inner products of all columns.
-        first: place of the structure's first column.
-        shaped: the structure's columns.
-    """
-    if shaped.shape or len(shaped.columns) < 2:
-        return False
-    least = (1.0 - priors.ABSORBED) * inner[first, first]
-    return least > 0.0 and any(np.sum((basis.T @ inner[place, first]) ** 2) > least for place, basis in plain)
-
-
-def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:
-    """Without structures that lie in the span of an effect: they are that effect.
-
-    Args:
-        blocks: of all candidates.
-        inner: (K, K) inner products of all columns.
-        effects: how many of the candidates are effects: the first ones.
-    """
-    mine = [block for block in blocks if block.candidate < effects]
-    free = [block for block in blocks if not block.shaped.coefficients]
-    if not mine or not free:
-        return blocks
-    # Columns of all structures in their own orthonormal directions, side by side.
-    bases = [basis_of(inner[block.place, block.place]) for block in free]
-    rank = np.array([basis.shape[1] for basis in bases])
-    ends = np.append(0, np.cumsum(rank))
-    joined = np.concatenate([inner[:, b.place] @ basis for b, basis in zip(free, bases, strict=True)], axis=1)
-    repeated = np.zeros(len(free), dtype=bool)
-    for block in mine:
-        basis = basis_of(inner[block.place, block.place])
-        squares = np.sum((basis.T @ joined[block.place]) ** 2, axis=0)
-        explained = np.diff(np.append(0.0, np.cumsum(squares))[ends])
-        repeated |= (basis.shape[1] >= rank) & (explained >= priors.THE_SAME**2 * rank)
-    others = [block for block in blocks if block.shaped.coefficients]
-    return others + [block for block, known in zip(free, repeated, strict=True) if not known]
-
-
-def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
+def _findings(columns: Columns, found: Posterior) -> tuple[Finding, ...]:
     ratio, families = found.marginals[0].ratio, len(found.marginals[0].ratio) - len(columns.gram.sizes)
     plain = marginal_at(columns.gram, (0.0,) * families + ratio[families:])
     effects = enumerate(columns.candidates[: columns.effects])
     return in_order([finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects])
 
 
-def _accepted(
-    columns: _Columns, groups: Sequence[tuple[str, ...]], found: Posterior, further: float
-) -> tuple[str, ...]:
+def _accepted(columns: Columns, groups: Sequence[tuple[str, ...]], found: Posterior, further: float) -> tuple[str, ...]:
     """Effects that are in more likely than not, the surest first; of look-alikes one stands for all.
 
     Each given those before it: what is likely in different sets is not for that likely together.
@@ -355,7 +269,7 @@ def _accepted(
     return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
 
 
-def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
+def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
     """Of look-alikes the likeliest, or one of as many coefficients, nearly as likely, that the catalogue has first.
 
     Where these sizes are usual: a dead path of metres stands for no drift that is as likely.
@@ -367,7 +281,7 @@ def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: S
     return min(alike, key=lambda k: (_is_unusual(columns, found, k), k))
 
 
-def _is_unusual(columns: _Columns, found: Posterior, k: int) -> bool:
+def _is_unusual(columns: Columns, found: Posterior, k: int) -> bool:
     """Whether a candidate is larger than usual."""
     if k not in found.single.best:
         return False
@@ -375,7 +289,7 @@ def _is_unusual(columns: _Columns, found: Posterior, k: int) -> bool:
     return bool(columns.blocks[point.block].is_unusual(np.array(point.scale)))
 
 
-def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
+def _absorbed(columns: Columns) -> tuple[Absorbed, ...]:
     out, first, seen = [], 0, columns.seen
     for k, candidate in enumerate(columns.candidates[: columns.effects]):
         place = slice(first, first + len(candidate.shapes[0].columns))
@@ -385,7 +299,7 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
     return tuple(out)
 
 
-def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
+def _structure(columns: Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
     tried = found.marginals_with([columns.place[name] for name in accepted])
     beside = table(found.alike, tried, len(columns.candidates)) if accepted else found.single
@@ -442,7 +356,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     return tuple(out)
 
 
-def _named_sets(columns: _Columns, found: Posterior) -> tuple[tuple[tuple[str, ...], float], ...]:
+def _named_sets(columns: Columns, found: Posterior) -> tuple[tuple[tuple[str, ...], float], ...]:
     total: dict[tuple[str, ...], float] = {}
     for members, p in zip(found.sets, found.probability.tolist(), strict=True):
         key = tuple(sorted({columns.candidates[k].name if k < columns.effects else "unknown" for k in members}))

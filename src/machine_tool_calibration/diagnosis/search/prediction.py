@@ -125,7 +125,7 @@ def _log_factors(pool: Pool, every: Pool, shaped: Sequence[Shaped], search: Effe
     further = search.without_cause
     columns = np.concatenate([*(s.columns for s in shaped), further, columns])[:, _rows(pool, every)]
     gram = replace(gram_of(pool, pool.screen(columns)), family=family, sizes=every.sizes)
-    gram = gram.with_noise(max(search.variance, _LEAST_NOISE))
+    gram = gram.with_memory(search.memory).with_noise(max(search.variance, _LEAST_NOISE))
     ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()
     places = [slice(first, end) for first, end in itertools.pairwise(ends)]
     blocks = [Block.of(0, place, s, np.zeros(len(s.columns))) for s, place in zip(shaped, places, strict=True)]

@@ -3,16 +3,12 @@
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.session.description import BallBar, CircleSetup
 from machine_tool_calibration.session.session import Readings
 
 # Component of a tangent below which an axis stands: it reverses there, and its direction says nothing of the way round.
 _STANDS = 0.02
-# Distances between readings that are tried, in turn; the share of the squares that no reversal enters, of so many at
-# least; and how many times as much readings twice as far apart vary, where those next to each other share it (white
-# noise: 1).
-_STRIDES, _SMOOTH, _FEWEST, _SHARED = (1, 2, 3, 4, 6, 8, 12), 0.9, 300, 1.4
 
 
 def arms(description: BallBar, readings: Readings) -> tuple[Array, IntArray]:
@@ -52,22 +48,3 @@ def travel_sense(arm: Array, plane: IntArray, readings: Readings) -> Array | Non
     tangent = np.column_stack([-np.sin(angle), np.cos(angle)])
     along = np.where(np.abs(tangent) > _STANDS, np.sign(tangent) * np.sign(in_plane(moved, plane)), 0.0).sum(axis=1)
     return np.where(along == 0.0, np.nan, np.sign(along))
-
-
-def independent(description: BallBar, readings: Readings) -> int:
-    """Of how many readings in a row one varies by itself: 1 where all do, 0 where none of those that are tried.
-
-    By third differences of what a circle's form leaves: noise that a filter has smoothed, or a wave, grows with the
-    distance between readings, white noise does not.
-    """
-    readings = readings.select(np.flatnonzero(np.isfinite(readings.displacement)))
-    run, angle, each = groups(readings.setup, readings.repeat), angles(*arms(description, readings)), []
-    for own in (np.flatnonzero(run == k) for k in np.unique(run)):
-        form = np.column_stack([wave(k * angle[own]) for k in range(3) for wave in (np.cos, np.sin)])
-        each.append(readings.displacement[own] - form @ np.linalg.lstsq(form, readings.displacement[own])[0])
-
-    def varies(stride: int) -> float:
-        squares = np.concatenate([np.diff(own[k::stride], 3) ** 2 for own in each for k in range(stride)])
-        return float(np.sort(squares)[: int(_SMOOTH * len(squares))].mean()) if len(squares) >= _FEWEST else 0.0
-
-    return next((k for k in _STRIDES if varies(2 * k) <= _SHARED * varies(k)), 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, independent, travel_sense
+from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense
 from machine_tool_calibration.session.description import BallBar, Place
 from machine_tool_calibration.session.judgements import Held
 from machine_tool_calibration.session.method import MethodSpec
@@ -74,15 +74,9 @@ class CircleSpec(MethodSpec):
             yield Held("dir", "one way round the circle", off, np.full(len(off), 0.5), unit="", share=0.05)
 
     def suspicious(self, session: Session) -> Iterator[str]:
-        """Circles without directions of approach, or whose readings share their noise."""
+        """Circles without directions of approach."""
         if not any(name.startswith("dir_") for name in session.readings.columns):
             yield "no directions of approach (dir_x, …) were recorded: backlash and servo mismatch stay unseen"
-        if (alone := independent(session.description.as_a(BallBar), session.readings)) != 1:
-            keep = f"one of {alone}" if alone else "one of a dozen"
-            yield (
-                "readings next to each other share what they vary by (a filter, or waves): small effects may be noise; "
-                f"keep {keep} readings and see which of them stay"
-            )
 
 
 SPEC = CircleSpec()

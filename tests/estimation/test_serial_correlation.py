@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise with a memory."""
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.serial_correlation import memory_of, per_independent
+
+from ..conftest import Many
+
+
+def remembering(rng: np.random.Generator, n: int, rho: float) -> Array:
+    """(n,) noise of variance 1 whose neighbours are correlated by rho."""
+    out = rng.normal(size=n)
+    for k in range(1, n):
+        out[k] = rho * out[k - 1] + np.sqrt(1.0 - rho**2) * out[k]
+    return out
+
+
+def pairs(*lengths: int) -> tuple[IntArray, IntArray]:
+    """Neighbours in runs of so many readings."""
+    run = np.repeat(np.arange(len(lengths)), lengths)
+    after = np.flatnonzero(np.diff(run, prepend=-1) == 0)
+    return after - 1, after
+
+
+def test_its_evidence_is_that_of_the_dense_covariance() -> None:
+    residuals, dof, prior = np.random.default_rng(3).normal(size=17), 17.0, 20.0
+    found = memory_of(residuals, *pairs(9, 1, 7), dof, prior)
+    run = np.repeat([0, 1, 2], [9, 1, 7])
+    apart = np.abs(np.subtract.outer(np.arange(17), np.arange(17)))
+    for rho, log in zip(priors.CORRELATIONS, found.log_evidence, strict=True):
+        covariance = np.where(np.equal.outer(run, run), rho**apart, 0.0)
+        squares = residuals @ np.linalg.solve(covariance, residuals)
+        exact = -0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * (dof + prior) * np.log(prior + squares)
+        assert log == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_it_is_found(rho: float, many: Many) -> None:
+    rng, length = np.random.default_rng(int(10 * rho)), 200
+    before, after = pairs(length, length)
+    each = [
+        memory_of(
+            np.concatenate([remembering(rng, length, rho) for _ in range(2)]), before, after, 2.0 * length, 20.0
+        ).readings_per_independent
+        for _ in range(many.count)
+    ]
+    assert np.mean(each) == pytest.approx(per_independent(np.array(rho)), rel=0.25)
+
+
+def test_the_mean_of_what_remembers_is_known_as_from_so_many_fewer_readings() -> None:
+    rng, rho, n = np.random.default_rng(5), 0.8, 400
+    means = [float(np.mean(remembering(rng, n, rho))) for _ in range(400)]
+    assert np.var(means) * n == pytest.approx(per_independent(np.array(rho)), rel=0.25)
