@@ -266,8 +266,8 @@ def _possible(
     """The search among all effects but those that cannot be what is missing, as often as it finds such.
 
     What was probable beside them alone is not any longer. What is probable in their place alone is no cause for that,
-    but where a special case of them explains more. Where those that can be added explain nearly as much as all did,
-    nothing is looked for again.
+    unless it is a special case of them, or one explains more. Where those that can be added explain nearly as much as
+    all did, nothing is looked for again.
 
     Returns:
         The search; how its effects do on readings that were left out; the first model's fit and one after every effect
@@ -299,8 +299,10 @@ def _possible(
         fitted, ruled_out, impossible = with_probable(names, search, predicted, first, fit_with)
         refused |= ruled_out
         if ruled_out and not needless(names, fitted, fit_with):
-            instead = any(simpler(search.of(name).candidate, fit_with) for name in ruled_out)
-            possible = {candidate.name for candidate in candidates} if instead else set(names)
+            out = [search.of(name).candidate for name in ruled_out]
+            instead = any(simpler(candidate, fit_with) for candidate in out)
+            special = {name for candidate in out for name in candidate.contains}
+            possible = {candidate.name for candidate in candidates} if instead else {*names, *special}
             gone += map(search.of, ruled_out)
         else:
             # The refused keep what was found of them.

@@ -208,8 +208,21 @@ def test_what_comes_with_the_direction_of_approach_is_not_what_a_warm_up_differs
     found = {c.name: c for c in effect_candidates(pool, find_effects(["warmup_y", other]))[0]}
     warm = 1e-5 * found["warmup_y"].shapes[0].columns[0]
     late = 0.3 * warm * scaled_values(pool.observations[0].clock)
-    names = without_laws([found["warmup_y"], found[other]], pool, [warm, late])
+    effects = [found["warmup_y"], found[other]]
+    names = without_laws(effects, pool, [warm, late], lambda some: 1.0)
     assert names == (("warmup_y", other) if kept else ("warmup_y",))
+
+
+def test_what_takes_most_of_what_a_surer_effect_leaves_is_named_beside_it() -> None:
+    """A quarter of a warm-up, smooth in time: what its law is off by, or another warm-up's."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
+    pool = Pool(fit_models([build_model(session)[0]]))
+    effects = [c for c in effect_candidates(pool, find_effects(["warmup_y", "warmup_x"]))[0]]
+    warm = 1e-5 * effects[0].shapes[0].columns[0]
+    for share, named in ((0.6, 1), (0.4, 2)):
+        squares = {1: 1.0, 2: share}
+        kept = without_laws(effects, pool, [warm, 0.3 * warm], lambda some, of=squares: of[len(some)])
+        assert len(kept) == named
 
 
 def test_in_several_sessions_fewer_shapes_are_tried_from_end_to_end() -> None:

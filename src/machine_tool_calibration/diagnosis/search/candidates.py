@@ -74,6 +74,11 @@ class Candidate:
         return any(shape.unit == "s" for shape in self.nonlinear)
 
     @property
+    def drifts(self) -> bool:
+        """Whether it goes on with the time, without a time constant."""
+        return self.effect is not None and "time" in self.effect.needs and not self.decays
+
+    @property
     def reverses(self) -> bool:
         """Whether it is an effect of the direction of approach."""
         effect = self.effect

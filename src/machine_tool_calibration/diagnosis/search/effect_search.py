@@ -16,6 +16,7 @@ from machine_tool_calibration.diagnosis.search.evidence import columns_of, table
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
+    basis_of,
     finding_of,
     fitted_in,
     in_order,
@@ -266,7 +267,16 @@ def _accepted(columns: Columns, groups: Sequence[tuple[str, ...]], found: Poster
         del left[best]
     accepted.sort(key=lambda k: -found.log_factor(k))
     signals = [_signal(columns, found, k) for k in accepted]
-    return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
+    effects = [columns.candidates[k] for k in accepted]
+    places = [columns.blocks[found.point_of(k).block].own for k in accepted]
+
+    def squares_left(members: Sequence[int]) -> float:
+        """Squares that some of them leave, fitted by their laws where all reproduces."""
+        every = np.concatenate([np.arange(places[j].start, places[j].stop) for j in members])
+        basis = basis_of(columns.gram.inner[np.ix_(every, every)])
+        return columns.gram.squares - float(np.sum((basis.T @ columns.gram.data[every]) ** 2))
+
+    return without_laws(effects, columns.pool, signals, squares_left)
 
 
 def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:

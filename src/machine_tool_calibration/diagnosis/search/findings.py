@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is found of every effect: its probability, size, plausibility, look-alikes, and what could have been found."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -224,10 +224,19 @@ def alias_groups(
     return tuple(groups)
 
 
-def without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array]) -> tuple[str, ...]:
+def without_laws(
+    effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array], squares_left: Callable[[Sequence[int]], float]
+) -> tuple[str, ...]:
     """Names of the effects, the surest first, without those by which another one differs from its law.
 
-    What comes with the direction of approach is no other effect's smooth function of time.
+    What comes with the direction of approach is no other effect's smooth function of time. What takes most of what the
+    surer ones leave is named all the same.
+
+    Args:
+        effects: the surest first.
+        pool: the readings.
+        signals: (n,) what each changes, m.
+        squares_left: what some of them, by their numbers, leave of the readings' squares together.
     """
 
     def of_law(k: int, j: int, most: float) -> bool:
@@ -235,11 +244,15 @@ def without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Arr
         return same and _of_law(pool, signals[k], signals[j], most)
 
     def slow(k: int, j: int) -> bool:
-        """Whether one without a time constant is the slow part of one that has such."""
-        return effects[j].decays and not effects[k].decays and of_law(k, j, priors.SECOND_TIME_CONSTANT)
+        """Whether one that goes with the time is the slow part of one that decays."""
+        return effects[j].decays and effects[k].drifts and of_law(k, j, priors.SECOND_TIME_CONSTANT)
 
-    left = [k for k in range(len(effects)) if not any(slow(k, j) for j in range(len(effects)))]
-    kept = (k for i, k in enumerate(left) if not any(of_law(k, j, priors.LAW) for j in left[:i]))
+    kept = list[int]()
+    some = [k for k in range(len(effects)) if not any(slow(k, j) for j in range(len(effects)))]
+    for i, k in enumerate(some):
+        of_one = any(of_law(k, j, priors.LAW) for j in some[:i])
+        if not of_one or squares_left([*kept, k]) < (1.0 - priors.MOST_OF_THE_EXCESS) * squares_left(kept):
+            kept.append(k)
     return tuple(effects[k].name for k in kept)
 
 
