@@ -79,10 +79,7 @@ def _settled(fit: JointFit) -> None:
 
 
 def _explains(before: JointFit, after: JointFit, memory: float) -> bool:
-    """Whether an effect lowers the sum of squares, unknowns that are random functions aside.
-
-    So many readings tell as much as one independent one.
-    """
+    """Whether an effect lowers the squares of so many readings that tell as much as one, random functions aside."""
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
     return gain >= priors.LEAST_GAIN * memory * min(after.reduced_chi_square, 1.0)
 

@@ -151,14 +151,10 @@ def diagnose(
                 found = replace(found, chosen=kept, set_aside=aside)
                 break
             found = _search(kept, aside, progress)
-            added = _probable(found)
+            added = found.accepted or found.search.accepted
         progress("done", 1.0)
     assert found is not None
     return found
-
-
-def _probable(found: Diagnosis) -> tuple[str, ...]:
-    return found.accepted or found.search.accepted
 
 
 def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:

@@ -10,7 +10,7 @@ effects and the published uncertainties count.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import softmax
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
@@ -25,19 +25,12 @@ class Memory:
     log_evidence: Array  # (r,) logarithm of the likelihood of `priors.CORRELATIONS`, but for what all residuals share
 
     @property
-    def log_posterior(self) -> Array:
-        """(r,) logarithm of the probability of each."""
-        logs = self.log_evidence + np.log(_PRIOR)
-        return np.asarray(logs - logsumexp(logs))
-
-    @property
     def readings_per_independent(self) -> float:
         """Readings that tell as much of what is slow as one independent reading: its mean."""
-        return float(np.exp(self.log_posterior) @ per_independent(_RHO))
+        return float(softmax(self.log_evidence + np.log(_PRIOR)) @ per_independent(_RHO))
 
-    def log_evidence_of(self, readings_per_independent: float) -> float:
-        """Logarithm of the likelihood of a memory, likewise."""
-        k = readings_per_independent
+    def log_evidence_of(self, k: float) -> float:
+        """Logarithm of the likelihood of a memory by which k readings tell as much as an independent one."""
         return float(np.interp((k - 1.0) / (k + 1.0), _RHO, self.log_evidence))
 
 

@@ -61,11 +61,8 @@ class Pool:
 
     def memory(self, residuals: Array) -> Memory:
         """What residuals (n,), m, say of the noise's memory."""
-        pairs = [o.neighbours for o in self.observations]
-        before, after = (
-            np.concatenate([pair[k] + piece.start for pair, piece in zip(pairs, self.pieces, strict=True)])
-            for k in (0, 1)
-        )
+        own = [np.array(o.neighbours) + piece.start for o, piece in zip(self.observations, self.pieces, strict=True)]
+        before, after = np.concatenate(own, axis=1)
         dof = self.fit.without_random.solution.degrees_of_freedom
         return memory_of(residuals / self.sigma, before, after, dof, priors.DECLARED_DOF)
 

@@ -38,7 +38,7 @@ _ROUNDING = 1e-6
 _BEST = 6
 
 
-# Memories of the noise that are tried; share by which they are the same.
+# Memories of the noise that are tried at most; share by which they are the same.
 _MEMORIES, _SAME_MEMORY = 6, 0.1
 
 
@@ -174,20 +174,16 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
         found = _searched(columns, side_by_side, k, at_first=True)
         beside = pool.memory(pool.residuals_beside(_change(columns, found)))
         own, none = beside.log_evidence_of(k), beside.log_evidence_of(1.0)
-        tried[k] = own + _log_spent(found), found
-        # What is found by less memory leaves less again: as much further down as it came; none, unless no effect could
-        # make up for what it leaves alike; and half of it.
+        least = found.marginals_with(found.best)[0]
+        cost = least.gram.log_likelihood(least.squares) - logsumexp(list(found.log_weights.values()))
+        tried[k] = own - float(cost), found
+        # Next: what is left now, and as far further down, as by that less is left again; none, unless no effect could
+        # make up for what is alike; and the root, a way off.
         left = beside.readings_per_independent
         asked[k] = [max(left * min(left / k, 1.0), 1.0), 1.0 if own - none < priors.MADE_UP_FOR else k, k**0.5]
         best = max(tried, key=lambda k: tried[k][0])
         then = [one for one in asked[best] if all(abs(one / other - 1.0) > _SAME_MEMORY for other in tried)]
     return best, tried[best][1]
-
-
-def _log_spent(found: Posterior) -> float:
-    """Logarithm of the evidence of all sets, without the likelihood of what the most probable one leaves."""
-    left = found.marginals_with(found.best)[0]
-    return float(logsumexp(list(found.log_weights.values())) - left.gram.log_likelihood(left.squares))
 
 
 def _change(columns: Columns, found: Posterior) -> Array:
