@@ -68,8 +68,8 @@ def verdict_words(
     if diagnosis.gross_errors and diagnosis.verdict != "outliers":
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
-    if diagnosis.search.memory >= _MEMORY:
-        yield say("diagnosis.memory", n=round(diagnosis.search.memory))
+    if (memory := diagnosis.search.memory) >= _MEMORY:
+        yield say("diagnosis.memory", n=round(memory), times=rounded(memory**0.5))
     yield from _noise(diagnosis)
 
 
