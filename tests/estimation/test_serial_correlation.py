@@ -27,8 +27,8 @@ def pairs(*lengths: int) -> tuple[IntArray, IntArray]:
 
 
 def test_its_evidence_is_that_of_the_dense_covariance() -> None:
-    residuals, dof, prior = np.random.default_rng(3).normal(size=17), 17.0, 20.0
-    found = memory_of(residuals, *pairs(9, 1, 7), dof, prior)
+    residuals, dof, prior = np.random.default_rng(3).normal(size=17), 17.0, priors.DECLARED_DOF
+    found = memory_of(residuals, *pairs(9, 1, 7), dof)
     run = np.repeat([0, 1, 2], [9, 1, 7])
     apart = np.abs(np.subtract.outer(np.arange(17), np.arange(17)))
     for rho, log in zip(priors.CORRELATIONS, found.log_evidence, strict=True):
@@ -44,7 +44,7 @@ def test_it_is_found(rho: float, many: Many) -> None:
     before, after = pairs(length, length)
     each = [
         memory_of(
-            np.concatenate([remembering(rng, length, rho) for _ in range(2)]), before, after, 2.0 * length, 20.0
+            np.concatenate([remembering(rng, length, rho) for _ in range(2)]), before, after, 2.0 * length
         ).readings_per_independent
         for _ in range(many.count)
     ]

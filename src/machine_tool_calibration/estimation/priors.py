@@ -22,7 +22,7 @@ NOISE_DOF = (DECLARED_DOF, HARDLY_DECLARED_DOF)
 CORRELATIONS = {0.0: 0.5} | dict.fromkeys(
     (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99), 0.5 / 15.0
 )
-"""Correlations of the noise from one reading to the next in a run, with their probabilities: half that it has none."""
+"""Correlations of noise from one reading of a setup to the next, with their probabilities: half that there is none."""
 
 MADE_UP_FOR = 30.0
 """Logarithm of the evidence of a memory up to which an effect may be hidden by it: one that is so much of fifty

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise that has a memory: how much each reading tells that the one before it did not.
 
-In a run the noise of neighbours is taken to be correlated by rho, and that of readings k apart by rho^k (autoregression
-of first order, Box, Jenkins and Reinsel 1994, section 3.2). What is slow is then as uncertain as from
+Within a setup the noise of neighbours is taken to be correlated by rho, and that of readings k apart by rho^k
+(autoregression of first order, Box, Jenkins and Reinsel 1994, section 3.2). What is slow is then as uncertain as from
 (1 - rho) / (1 + rho) times as many independent readings (Bayley and Hammersley 1946), which is what the evidence of
-effects and the published uncertainties count.
+effects counts; published uncertainties do not.
 """
 
 from dataclasses import dataclass
@@ -39,20 +39,19 @@ def per_independent(correlation: Array) -> Array:
     return np.asarray((1.0 + correlation) / (1.0 - correlation))
 
 
-def memory_of(residuals: Array, before: IntArray, after: IntArray, dof: float, prior_dof: float) -> Memory:
+def memory_of(residuals: Array, before: IntArray, after: IntArray, dof: float) -> Memory:
     """What residuals say of the noise's memory.
 
     Args:
         residuals: (n,) over their declared uncertainty.
-        before: (k,) the reading before each of `after` in its run.
-        after: (k,) readings that are not the first of their run.
+        before: (k,) the reading before each of `after` in its setup.
+        after: (k,) readings that are not the first of their setup.
         dof: degrees of freedom of the residuals.
-        prior_dof: those of the declared uncertainty.
     """
-    share = dof / max(len(residuals), 1)
+    share, prior = dof / max(len(residuals), 1), priors.DECLARED_DOF
     first = np.delete(residuals, after)
     own, last = residuals[after], residuals[before]
     steps = own @ own - 2.0 * _RHO * (own @ last) + _RHO**2 * (last @ last)
     squares = first @ first + steps / (1.0 - _RHO**2)
-    logs = -0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * (dof + prior_dof) * np.log(prior_dof + squares)
+    logs = -0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * (dof + prior) * np.log(prior + squares)
     return Memory(logs)

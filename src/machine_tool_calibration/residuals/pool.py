@@ -59,12 +59,16 @@ class Pool:
         fit = changed(self.fit.without_random, [-change[piece] for piece in self.pieces])
         return np.concatenate([own.residuals for own in fit.fits]) - change
 
+    @cached_property
+    def _neighbours(self) -> IntArray:
+        """(2, k) readings that came right before another of their setup, and these."""
+        pairs = zip(self.observations, self.pieces, strict=True)
+        return np.concatenate([np.array(o.neighbours) + piece.start for o, piece in pairs], axis=1)
+
     def memory(self, residuals: Array) -> Memory:
         """What residuals (n,), m, say of the noise's memory."""
-        own = [np.array(o.neighbours) + piece.start for o, piece in zip(self.observations, self.pieces, strict=True)]
-        before, after = np.concatenate(own, axis=1)
-        dof = self.fit.without_random.solution.degrees_of_freedom
-        return memory_of(residuals / self.sigma, before, after, dof, priors.DECLARED_DOF)
+        before, after = self._neighbours
+        return memory_of(residuals / self.sigma, before, after, self.fit.without_random.solution.degrees_of_freedom)
 
     @cached_property
     def run(self) -> IntArray:

@@ -12,18 +12,17 @@ from scipy.special import logit, logsumexp
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
 from machine_tool_calibration.diagnosis.search.columns import Columns, exclusive, outside_the_model
-from machine_tool_calibration.diagnosis.search.evidence import columns_of, table
+from machine_tool_calibration.diagnosis.search.evidence import table
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
-    basis_of,
     finding_of,
     fitted_in,
     in_order,
     posterior_of,
     without_laws,
 )
-from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
+from machine_tool_calibration.diagnosis.search.posterior import Posterior, scaled_columns, search
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
@@ -166,9 +165,8 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
     A missing effect makes residuals of neighbours alike, and so does noise with a memory, which would in turn be taken
     for effects. Both are weighed against each other: by the likelihood of what is left, and what the sets cost.
     """
-    pool, tried = columns.pool, dict[float, tuple[float, Posterior]]()
+    pool, tried = columns.pool, dict[float, tuple[float, Posterior, list[float]]]()
     then = [pool.memory(pool.residuals_beside(np.zeros(len(pool)))).readings_per_independent]
-    asked = dict[float, list[float]]()
     while then and len(tried) < _MEMORIES:
         k = then[0]
         found = _searched(columns, side_by_side, k, at_first=True)
@@ -176,25 +174,24 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
         own, none = beside.log_evidence_of(k), beside.log_evidence_of(1.0)
         least = found.marginals_with(found.best)[0]
         cost = least.gram.log_likelihood(least.squares) - logsumexp(list(found.log_weights.values()))
-        tried[k] = own - float(cost), found
         # Next: what is left now, and as far further down, as by that less is left again; none, unless no effect could
         # make up for what is alike; and the root, a way off.
         left = beside.readings_per_independent
-        asked[k] = [max(left * min(left / k, 1.0), 1.0), 1.0 if own - none < priors.MADE_UP_FOR else k, k**0.5]
+        further = [max(left * min(left / k, 1.0), 1.0), 1.0 if own - none < priors.MADE_UP_FOR else k, k**0.5]
+        tried[k] = own - float(cost), found, further
         best = max(tried, key=lambda k: tried[k][0])
-        then = [one for one in asked[best] if all(abs(one / other - 1.0) > _SAME_MEMORY for other in tried)]
+        then = [one for one in tried[best][2] if all(abs(one / other - 1.0) > _SAME_MEMORY for other in tried)]
     return best, tried[best][1]
 
 
 def _change(columns: Columns, found: Posterior) -> Array:
     """(n,) what the most probable set, and what does not reproduce beside it, change in the readings, m."""
     marginal = found.marginals[0]
-    blocks = [(columns.blocks[point.block], point.scale) for point in found.best.values()]
-    scale = np.concatenate([*(block.unit * size for block, size in blocks), marginal.tau])
-    place = np.append(columns_of(block for block, _ in blocks), marginal.gram.spread)
-    every = np.concatenate([*(block.shaped.every for block, _ in blocks), columns.pool.spread[0]])
+    own, scale = scaled_columns(columns.blocks, found.best)
+    place, scale = np.append(own, marginal.gram.spread), np.append(scale, marginal.tau)
+    every = [*(columns.blocks[point.block].shaped.every for point in found.best.values()), columns.pool.spread[0]]
     inner = marginal.gram.inner[np.ix_(place, place)] * np.outer(scale, scale) + np.eye(len(place))
-    return np.asarray((scale * np.linalg.solve(inner, scale * marginal.gram.data[place])) @ every)
+    return np.asarray((scale * np.linalg.solve(inner, scale * marginal.gram.data[place])) @ np.concatenate(every))
 
 
 def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: bool = False) -> Posterior:
@@ -265,12 +262,11 @@ def _accepted(columns: Columns, groups: Sequence[tuple[str, ...]], found: Poster
     signals = [_signal(columns, found, k) for k in accepted]
     effects = [columns.candidates[k] for k in accepted]
     places = [columns.blocks[found.point_of(k).block].own for k in accepted]
+    plain = marginal_at(columns.gram, (0.0,) * len(found.marginals[0].ratio))
 
     def squares_left(members: Sequence[int]) -> float:
         """Squares that some of them leave, fitted by their laws where all reproduces."""
-        every = np.concatenate([np.arange(places[j].start, places[j].stop) for j in members])
-        basis = basis_of(columns.gram.inner[np.ix_(every, every)])
-        return columns.gram.squares - float(np.sum((basis.T @ columns.gram.data[every]) ** 2))
+        return plain.squares - float(np.sum(fitted_in(plain, np.r_[tuple(places[j] for j in members)])[1] ** 2))
 
     return without_laws(effects, columns.pool, signals, squares_left)
 

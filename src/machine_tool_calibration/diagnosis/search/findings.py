@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, rms
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.laws import smooth_share
@@ -88,7 +88,7 @@ def basis_of(inner: Array) -> Array:
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
 
 
-def fitted_in(marginal: Marginal, place: slice) -> tuple[Array, Array]:
+def fitted_in(marginal: Marginal, place: slice | IntArray) -> tuple[Array, Array]:
     """Columns fitted to what the model leaves: their basis, and the readings along it.
 
     Their squares are what the columns explain of the readings' squares.

@@ -280,7 +280,7 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
     if not pairs:
         return []
     tried = work.marginals_with(members)
-    columns, scale = _columns(work.blocks, points)
+    columns, scale = scaled_columns(work.blocks, points)
     ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
     place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
     inner = np.eye(len(columns)) + [marginal.inner(columns, columns) * np.outer(scale, scale) for marginal in tried]
@@ -300,7 +300,7 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
     return [{k: points[k] for k in pair} for pair in best]
 
 
-def _columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array]:
+def scaled_columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array]:
     """Places of the members' columns, and the standard deviations of their coefficients."""
     scales = [blocks[point.block].unit * point.scale for point in members.values()]
     return columns_of(blocks[point.block] for point in members.values()), np.concatenate([np.zeros(0), *scales])
@@ -308,5 +308,5 @@ def _columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array
 
 def _with_members(blocks: Sequence[Block], tried: Sequence[Marginal], members: Members) -> list[Marginal]:
     """The marginals with members folded in at their points."""
-    columns, scale = _columns(blocks, members)
+    columns, scale = scaled_columns(blocks, members)
     return [marginal.with_columns(columns, scale) if members else marginal for marginal in tried]
