@@ -177,7 +177,13 @@ def few_draws() -> Iterator[None]:
 
 @pytest.fixture
 def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is published takes all to reproduce and the model for exact, for what is known in closed form then."""
+    """What is published takes all to reproduce and the model for exact, for what is known in closed form then.
+
+    And noise for independent, of which few readings tell little.
+    """
+    monkeypatch.setattr(
+        "machine_tool_calibration.model.marginal_fit.added_by_memory", lambda *of: np.zeros_like(of[-2])
+    )
     monkeypatch.setattr("machine_tool_calibration.model.marginal_fit.with_drift", lambda observations: ())
     monkeypatch.setattr(
         "machine_tool_calibration.model.marginal_fit.imperfection", lambda observations: np.zeros((0, 1))

@@ -8,6 +8,7 @@ import pytest
 
 from machine_tool_calibration.estimation.elimination import Rows, cholesky, inverse, reduced_gram
 from machine_tool_calibration.estimation.problem import PriorRows, Problem
+from machine_tool_calibration.estimation.reduction import columns_without_points, gram
 from machine_tool_calibration.estimation.solve import solve
 
 CASES = {
@@ -37,6 +38,17 @@ def test_all_read(case, make_network, solve_dense):
     assert solution.degrees_of_freedom == len(network.reading) - solve_dense(network).rank
     assert solution.determined.all()
     assert all(good.all() for good in solution.local_determined)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_columns_themselves_have_the_reduced_matrix(case, make_network):
+    whole = make_network(seed=3, **CASES[case]).network
+    network = whole.select(np.random.default_rng(1).random(len(whole.reading)) > 0.1)
+    theta, local = network.problem().zero
+    place, columns = columns_without_points(network.part(), theta, local[0])
+    total, _ = gram(replace(network.problem(), priors=None), theta, local)
+    assert np.array_equal(place, np.arange(len(theta)))
+    assert columns @ columns.T == pytest.approx(total, rel=1e-9, abs=1e-9 * total.max())
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -6,7 +6,12 @@ import pytest
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.serial_correlation import memory_of, per_independent
+from machine_tool_calibration.estimation.serial_correlation import (
+    Memory,
+    beyond_independent,
+    memory_of,
+    per_independent,
+)
 
 from ..conftest import Many
 
@@ -36,6 +41,25 @@ def test_its_evidence_is_that_of_the_dense_covariance() -> None:
         squares = residuals @ np.linalg.solve(covariance, residuals)
         exact = -0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * (dof + prior) * np.log(prior + squares)
         assert log == pytest.approx(exact, rel=1e-9)
+
+
+def test_what_is_beyond_independent_noise_is_by_the_dense_correlations_of_each_run() -> None:
+    rng = np.random.default_rng(4)
+    columns, shuffled = rng.normal(size=(3, 17)), rng.permutation(17)
+    before, after = (shuffled[one] for one in pairs(9, 1, 7))
+    memory = Memory(rng.normal(size=len(priors.CORRELATIONS)))
+    run = np.repeat([0, 1, 2], [9, 1, 7])
+    apart = np.abs(np.subtract.outer(np.arange(17), np.arange(17)))
+    mean = np.tensordot(memory.probability, [rho**apart for rho in priors.CORRELATIONS], axes=1)
+    own = columns[:, shuffled]
+    expected = own @ (np.where(np.equal.outer(run, run), mean, 0.0) - np.eye(17)) @ own.T
+    assert beyond_independent(memory, columns, before, after) == pytest.approx(expected, rel=1e-9)
+
+
+def test_white_residuals_have_no_memory_however_small_they_are() -> None:
+    white, (before, after) = np.random.default_rng(6).normal(size=200), pairs(100, 100)
+    alone = [memory_of(size * white, before, after, 200.0, 0.0).readings_per_independent for size in (1.0, 0.01)]
+    assert alone == pytest.approx([1.1, 1.1], abs=0.1)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])

@@ -112,7 +112,7 @@ def result_of(model):
     return Result(fit=fit, error_map=found, effects=("scale",), model_name="line", rejected=(), observations=9)
 
 
-def test_published_value_counts_from_its_reference():
+def test_published_value_counts_from_its_reference(reproducible):
     estimates = {e.name: e for e in result_of(line(3e-6 + 2e-6 * X)).parameters}
     assert estimates["offset"].value == pytest.approx(0.5 + 3e-6, abs=1e-15)
     assert estimates["offset"].standard_uncertainty == pytest.approx(1e-6 / 3)

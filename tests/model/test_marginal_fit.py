@@ -112,6 +112,7 @@ def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> Non
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 2.0, 20.0])
 def test_a_single_size_is_generalised_least_squares(monkeypatch: pytest.MonkeyPatch, ratio: float) -> None:
     sizes_tried(monkeypatch, [ratio])
+    monkeypatch.setattr(marginal_fit, "_ENOUGH", 0)  # what few readings leave open of the noise's memory
     fit, model, spread, readings = axis(2.0)
     expected = generalised(model, spread, readings, ratio)
     found = fit.marginal
@@ -187,12 +188,16 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
     # What was declared still says a little.
     assert 0.9 * factor < fit.marginal.scatter < factor
     assert fit.published.covariance == pytest.approx(fit.marginal.scatter**2 * expected.covariance)
+    # What is known of an effect's size beforehand is weighed against that scatter.
+    limited = axis(0.0, noise=3.0, limit=100.0 * SIGMA)[0]
+    assert limited.published.covariance == pytest.approx(fit.published.covariance, rel=0.05)
 
 
 def test_an_effect_of_plausible_size_is_what_the_readings_say_and_one_beyond_it_is_drawn_to_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sizes_tried(monkeypatch, [0.5])
+    monkeypatch.setattr(marginal_fit, "_ENOUGH", 0)
     fit, model, spread, readings = axis(0.0, limit=100.0 * SIGMA)
     expected = generalised(model, spread, readings, 0.5)
     known = fit.marginal.scatter**2 * expected.covariance

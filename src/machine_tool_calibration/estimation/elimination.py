@@ -179,6 +179,12 @@ def gram_of_each(columns: Array) -> Array:
     return out
 
 
+def orthonormal(local: Array) -> Array:
+    """(d, S, n) orthonormal columns that span those of each point's own unknowns; 0 for what is not determined."""
+    factor, _ = cholesky(gram_of_each(local))
+    return forward(factor, local.transpose(1, 0, 2).copy()).transpose(1, 0, 2)
+
+
 def local_columns(rows: Rows, place: IntArray) -> Array:
     """(B p + K + 1, d, n) G^T times the columns of a chunk's blocks, of the dense unknowns, and the residual.
 
@@ -243,9 +249,7 @@ def _gram_by_factors(rows: Rows, place: IntArray) -> Array:
         gram[tail, own] = gram[own, tail].T
     if rows.local.shape[0]:
         # The points' few columns are made orthonormal rather than the many that are projected off them.
-        factor, _ = cholesky(gram_of_each(rows.local))
-        unit = forward(factor, rows.local.transpose(1, 0, 2).copy()).transpose(1, 0, 2)
-        seen = local_columns(replace(rows, local=unit), place).reshape(size, -1)
+        seen = local_columns(replace(rows, local=orthonormal(rows.local)), place).reshape(size, -1)
         gram -= seen @ seen.T
     return gram
 

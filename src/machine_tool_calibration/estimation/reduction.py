@@ -12,7 +12,7 @@ import numpy as np
 import threadpoolctl
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.elimination import raw_squares, reduced_gram
+from machine_tool_calibration.estimation.elimination import orthonormal, raw_squares, reduced_gram
 from machine_tool_calibration.estimation.problem import Part, Problem
 
 
@@ -88,9 +88,9 @@ def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
 
 
 def columns_without_points(part: Part, theta: Array, local: Array) -> tuple[IntArray, Array]:
-    """Places (k,) of the unknowns that a part without points sees; (k + 1, n) their columns and, last, the residual.
+    """Places (k,) of the unknowns that a part sees; (k + 1, n) their columns and, last, the residual.
 
-    Both over the declared uncertainty, at shared and own unknowns.
+    Both over the declared uncertainty, at shared and own unknowns; the points' own unknowns are projected off.
     """
     places = [part.columns(group) for group in range(len(part.groups))]
     used = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *places]))
@@ -99,14 +99,17 @@ def columns_without_points(part: Part, theta: Array, local: Array) -> tuple[IntA
         slots, n = layout.rows.shape
         rows = part.rows(group, slice(0, n), theta, local)
         at, p = np.searchsorted(used, places[group]), len(rows.block)
-        for slot in range(slots):
-            there = layout.rows[slot] >= 0
-            mine = layout.rows[slot, there]
-            columns[np.ix_(at[len(at) - len(rows.dense) :], mine)] = rows.dense[:, slot, there]
+        own = np.zeros((len(columns), slots, n))
+        own[at[len(at) - len(rows.dense) :]] = rows.dense
+        own[-1] = rows.residual
+        for slot, place in enumerate(layout.place):
             # One by one: a block may hold an unknown twice, or one of the dense ones.
-            for place, column in zip(at[layout.place[slot] * p :], rows.block[:, slot], strict=False):
-                columns[place, mine] += column[there]
-            columns[-1, mine] = rows.residual[slot, there]
+            for k, column in zip(at[place * p :], rows.block[:, slot], strict=False):
+                own[k, slot] += column
+        for unit in orthonormal(rows.local):
+            own -= unit * np.einsum("sn,ksn->kn", unit, own)[:, None]
+        there = layout.rows >= 0
+        columns[:, layout.rows[there]] = own[:, there]
     return used, columns
 
 

@@ -8,8 +8,11 @@ comparison, the effect of the catalogue that comes nearest to it would seem to b
 from itertools import combinations
 
 import numpy as np
+from scipy.special import softmax
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -54,6 +57,23 @@ def _angles(observations: Observations) -> list[Array]:
     if spec.probes_surface:
         angles.append(np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0]))
     return [angle for angle in angles if np.ptp(angle) > 0]
+
+
+def misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], dof: int) -> float:
+    """Root mean square of the size of what every model lacks a little, beside what does not reproduce.
+
+    Args:
+        projected: (u + 1, u + 1) inner products of all functions with the residual, outside the model.
+        order: (u,) the functions of runs, then those of what a model lacks.
+        own: family of each of the former.
+        ratio: size of each family, in units of the noise.
+        dof: degrees of freedom of the readings beside the model's unknowns.
+    """
+    inner, data = projected[np.ix_(order, order)], projected[order, -1]
+    family = np.append(own, np.full(len(order) - len(own), len(ratio)))
+    gram = Gram(inner, data, float(projected[-1, -1]), family, dof)
+    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null for s, p in priors.IMPERFECTION_SIZES.items()]
+    return float(np.sqrt(softmax(logs) @ np.square(list(priors.IMPERFECTION_SIZES))))
 
 
 def scaled_values(values: Array) -> Array | None:

@@ -14,19 +14,19 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, left_at, marginal_at, noise_variance
+from machine_tool_calibration.estimation.marginal import Gram, left_at, noise_variance
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, covariance_root, local_steps
 from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components, with_unrepeated
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
-from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
+from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection, misfit
 from machine_tool_calibration.model.model import Assembly, RandomPosterior, RandomUnknowns, assemble
+from machine_tool_calibration.model.noise_memory import added_by_memory
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import (
     DRIFT,
@@ -101,6 +101,7 @@ class MarginalFit:
     squares: float  # weighted sum of squared residuals that is left beside what does not reproduce
     # (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`
     ratios: Array
+    by_memory: Array | None = None  # what of the covariance is by the noise's memory
 
     def coefficients(self, index: int) -> IntArray:
         """(k,) places of the coefficients of a session's functions in the solution."""
@@ -112,10 +113,11 @@ class MarginalFit:
 def marginal_fit(solved: Solved) -> MarginalFit:
     """The fit with what does not reproduce in it."""
     problem, solution = solved.without_expectations, solved.solution
+    observed = [model.observations for model in solved.assembly.models]
     # Rows of a plate that differ are the part's, as far as the map is concerned.
-    families = [with_drift(m.observations) for m in solved.assembly.models]
+    families = [with_drift(one) for one in observed]
     if solved.random is None and problem.n_readings <= _ENOUGH:
-        lacking = [_imperfect(m.observations) for m in solved.assembly.models]
+        lacking = [_imperfect(one) for one in observed]
         families = [own + further for own, further in zip(families, lacking, strict=True)]
     parts, place, names = _widened(problem, families)
     offset = np.concatenate([np.zeros(0, dtype=bool), *(f.offsets for own in families for f in own if f.name in names)])
@@ -134,19 +136,22 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         repeated = _of_repeats(solved, ())
         again = (0.0, 0.0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
-        found = _Marginal(
-            np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
-        )
+        by_places = (scatter / _scatter(solution.chi_square, solution.degrees_of_freedom)) ** 2
+        none, known, left = np.zeros(0), solution.covariance, solution.chi_square
+        found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, by_places, known)
     mean, covariance = found.mean, found.covariance
     if wide.priors is not None:
         covariance = _with_its_own(covariance, wide.priors, found.scatter)
     if sizes := effect_sizes(solved.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
+    by_memory = np.zeros_like(covariance)
+    if problem.n_readings <= _ENOUGH:
+        by_memory = added_by_memory(observed, wide, solution, found.mean, found.estimator, found.lack_of_fit)
     published = replace(
         solution,
         theta=theta + mean,
-        covariance=covariance,
+        covariance=covariance + by_memory,
         undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
         determined=np.pad(solution.determined, (0, u), constant_values=True),
         local=local_steps(wide, theta, solution.local, mean) if mean.any() else solution.local,
@@ -155,8 +160,9 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
         for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
     )
+    own, squares = tuple(parts), found.squares
     return MarginalFit(
-        tuple(parts), published, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
+        own, published, found.scatter, found.sizes, found.random, functions, squares, found.ratios, by_memory
     )
 
 
@@ -181,6 +187,8 @@ class _Marginal:
     random: RandomPosterior | None
     squares: float
     ratios: Array
+    lack_of_fit: float  # the square of `scatter` over what it is by the readings alone
+    estimator: Array  # the covariance without what moves nothing: times the columns it takes readings to the mean
 
 
 def _averaged(
@@ -229,36 +237,20 @@ def _averaged(
     tau = np.zeros((len(chosen), u))
     tau[:, runs] = ratios[:, own] * plain / scatter
     if imperfect.any():
-        tau[:, imperfect] = _misfit(
+        tau[:, imperfect] = misfit(
             projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof
         )
     random = None
     if solved.random is None:
-        mean, covariance = _marginal(total, projected, root, tau, weights, scatter, unmoved)
+        mean, covariance, estimator = _marginal(total, projected, root, tau, weights, scatter, unmoved)
     else:
         tried = [_at(solved, solved.random, problem, total, squares, one, scatter) for one in tau]
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
-        random = found_random[int(np.argmax(weights))]
+        estimator, random = covariance, found_random[int(np.argmax(weights))]
     sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
-    return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
-
-
-def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], dof: int) -> float:
-    """Root mean square of the size of what every model lacks a little, beside what does not reproduce.
-
-    Args:
-        projected: (u + 1, u + 1) inner products of all functions with the residual, outside the model.
-        order: (u,) the functions of runs, then those of what a model lacks.
-        own: family of each of the former.
-        ratio: size of each family, in units of the noise.
-        dof: degrees of freedom of the readings beside the model's unknowns.
-    """
-    inner, data = projected[np.ix_(order, order)], projected[order, -1]
-    family = np.append(own, np.full(len(order) - len(own), len(ratio)))
-    gram = Gram(inner, data, float(projected[-1, -1]), family, dof)
-    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null for s, p in priors.IMPERFECTION_SIZES.items()]
-    return float(np.sqrt(special.softmax(logs) @ np.square(list(priors.IMPERFECTION_SIZES))))
+    by, lack_of_fit = np.sqrt(weights @ tau**2), (scatter / plain) ** 2
+    return _Marginal(mean, covariance, scatter, sizes, random, squares_left, by, lack_of_fit, estimator)
 
 
 def _imperfect(observations: Observations) -> tuple[Family, ...]:
@@ -300,8 +292,8 @@ def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -
 
 def _marginal(
     total: Array, projected: Array, root: Array, sizes: Array, weights: Array, scatter: float, unmoved: BoolArray
-) -> tuple[Array, Array]:
-    """Mean and covariance (over the square of `scatter`) of all unknowns with what does not reproduce.
+) -> tuple[Array, Array, Array]:
+    """Mean and covariance (over the square of `scatter`) of all unknowns, and the latter without what is `unmoved`.
 
     Given its coefficients, the model's own unknowns are linear in them: only the coefficients need each size.
 
@@ -327,7 +319,8 @@ def _marginal(
     along = np.concatenate([-root @ (root.T @ total[:m, m:-1]), np.eye(u)])
     whole = along @ covariance @ along.T
     whole[:m, :m] += root @ root.T
-    return along @ mean, whole
+    widening = along[:, unmoved]
+    return along @ mean, whole, whole - (widening * covariance[unmoved, unmoved]) @ widening.T
 
 
 def _at(

@@ -69,7 +69,7 @@ def verdict_words(
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     if (memory := diagnosis.search.memory) >= _MEMORY:
-        yield say("diagnosis.memory", n=round(memory), times=rounded(memory**0.5))
+        yield say("diagnosis.memory", n=round(memory))
     yield from _noise(diagnosis)
 
 

@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
-
-# p-value below which places differ more than their repeats do.
-_DIFFER = 1e-3
 
 
 def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
@@ -38,7 +36,7 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     if count.max() < 2:
         return None
     noise = noise_of(fit)
-    if noise.lack_of_fit_p is None or noise.lack_of_fit_p > _DIFFER:
+    if noise.lack_of_fit_p is None or noise.lack_of_fit_p > priors.LACK_OF_FIT_P:
         return None
     first = np.unique(place, return_index=True)[1]
 

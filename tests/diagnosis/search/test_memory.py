@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
@@ -30,9 +31,8 @@ def test_it_is_no_effect_and_no_wave(seed: int) -> None:
     found = diagnose(one_place(SIGMA * remembering(np.random.default_rng(seed), N, 0.95)))
     assert (found.verdict, found.accepted, found.left) == ("adequate", (), ())
     assert found.search.memory == pytest.approx(39.0, rel=0.5)
-    # Of 39 readings that tell as much as one U of a constant is 6 times what each for itself would say.
     (words,) = (words for words in verdict_words(found, {}, Advice()) if "memory" in words)
-    assert f"{found.search.memory**0.5:.2f} times" in words
+    assert f"{found.search.memory:.0f} of them" in words
 
 
 def test_an_effect_is_found_beside_it() -> None:
@@ -40,6 +40,15 @@ def test_an_effect_is_found_beside_it() -> None:
     found = diagnose(one_place(noise + 15.0 * SIGMA * WARM))
     assert found.accepted == ("warmup_x",)
     assert found.search.memory == pytest.approx(9.0, rel=0.5)
+
+
+def test_u_of_what_is_slow_counts_it() -> None:
+    size, away = 15.0 * SIGMA, []
+    for seed in range(10):
+        noise = SIGMA * remembering(np.random.default_rng(seed), N, 0.8)
+        found = {p.name: p for p in identify(one_place(noise + size * WARM), effects=["warmup_x"]).parameters}
+        away.append((found["warmup_x.a"].value - size) / found["warmup_x.a"].standard_uncertainty)
+    assert 0.4 < rms(np.array(away)) < 1.3
 
 
 def test_a_missing_effect_is_no_memory() -> None:

@@ -188,6 +188,8 @@ def test_no_reading_notices_an_unknown_without_columns_nor_what_two_of_them_shar
     np.testing.assert_allclose(columns.T @ unknown, 0.0, atol=1e-9)
     # The one without columns is among them, whatever the others do.
     np.testing.assert_allclose(directions @ directions.T @ np.eye(4)[1], np.eye(4)[1], atol=1e-12)
+    # In other units of the readings each unknown is scaled by its own column all the same.
+    np.testing.assert_allclose(silent_directions(1e-12 * columns)[1], 1e12 * scale)
 
 
 SIDE = np.linspace(0.0, 0.4, 9)

@@ -247,6 +247,7 @@ def test_null_space_and_uncertainties_are_those_of_the_dense_system() -> None:
     unit = np.append(found.unit, np.ones(7))
     # The unknown of each is such that it changes the readings by one on the average of squares.
     np.testing.assert_allclose(np.sqrt(np.mean((dense * found.unit[:, None]) ** 2, axis=1)), 1.0)
+    np.testing.assert_allclose(null_space(NAMES, 1e-9 * dense, point, 7).unit, 1e9 * found.unit)
     scaled = jacobian * unit
     assert np.linalg.matrix_rank(scaled) == 11 - found.basis.shape[1] == 8
     np.testing.assert_allclose(scaled @ found.basis, 0.0, atol=1e-12)

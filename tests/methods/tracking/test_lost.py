@@ -79,7 +79,7 @@ def test_three_stations_in_a_plane_with_targets_are_no_fit(simulated):
 
 @pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
 @pytest.mark.parametrize("left", [0, 1, 2, 3])
-def test_a_station_that_is_all_but_lost(left, pointing, simulated, truth, edit):
+def test_a_station_that_is_all_but_lost(left, pointing, simulated, truth, edit, reproducible):
     """A station with fewer readings than unknowns is named; the map is what the other four make of it."""
     made = simulated(3, pointing, seed=6, stations=FIVE, repeats=1)
     target = target_of(made.session, np.array(made.truth.expected["points"]))

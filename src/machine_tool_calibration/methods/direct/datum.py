@@ -19,7 +19,8 @@ _FIXED_SHARE = 1e-5
 def silent_directions(columns: Array) -> tuple[Array, Array]:
     """(m, q) directions of scaled unknowns that no reading (m, n) notices, and (m,) scales: unknown / scaled one."""
     norms = np.sqrt(np.einsum("mn,mn->m", columns, columns))
-    scale = 1.0 / np.where(norms > 1e-13 * norms.max(initial=1e-300), norms, norms.max(initial=1.0) or 1.0)
+    typical = float(norms.max(initial=0.0)) or 1.0
+    scale = 1.0 / np.where(norms > 1e-13 * typical, norms, typical)
     matrix = (columns @ columns.T) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     return np.asarray(vectors[:, values <= LEAST_EIGENVALUE * len(norms)]), scale

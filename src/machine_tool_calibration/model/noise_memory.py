@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What noise with a memory adds to the uncertainty of what is published.
+
+Estimates take the noise of every reading for its own. Where neighbours share it, what is slow (a constant, a drift, a
+warm-up) is known as from fewer readings.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation.problem import Problem
+from machine_tool_calibration.estimation.reduction import columns_without_points
+from machine_tool_calibration.estimation.serial_correlation import beyond_independent, memory_of
+from machine_tool_calibration.estimation.solve import Solution
+from machine_tool_calibration.model.observations import Observations
+
+
+def added_by_memory(
+    observed: Sequence[Observations],
+    problem: Problem,
+    solution: Solution,
+    step: Array,
+    covariance: Array,
+    lack_of_fit: float,
+) -> Array:
+    """(m, m) what the noise's memory adds to a covariance for noise of variance 1.
+
+    It makes nothing better, and is the same as that places differ more than their repeats as far as these are read in a
+    row: in each direction of the unknowns the larger of both counts.
+
+    Args:
+        observed: the readings of each session.
+        problem: with all unknowns that the estimate has.
+        solution: where it is linearised; of its unknowns those that the problem has beside are zero there.
+        step: (m,) estimate less solution.
+        covariance: (m, m) of the estimate.
+        lack_of_fit: by how much it is to be multiplied because places differ more than their repeats.
+    """
+    theta = np.pad(solution.theta, (0, len(step) - len(solution.theta)))
+    parts = zip(problem.parts, solution.local, strict=True)
+    each = [columns_without_points(part, theta, local) for part, local in parts]
+    left = [columns[-1] - step[place] @ columns[:-1] for place, columns in each]
+    first = np.cumsum([0, *(len(own) for own in observed)])
+    pairs = [np.array(own.neighbours) for own in observed]
+    before, after = np.concatenate([own + at for own, at in zip(pairs, first, strict=False)], axis=1)
+    memory = memory_of(np.concatenate(left), before, after, solution.degrees_of_freedom, prior_dof=0.0)
+    beyond = np.zeros_like(covariance)
+    for (place, columns), own in zip(each, pairs, strict=True):
+        beyond[np.ix_(place, place)] += beyond_independent(memory, columns[:-1], *own)
+    if not beyond.any():
+        return beyond
+    # Unknowns in their own uncertainties: rounding in that of a length would be large beside that of an angle.
+    size = np.sqrt(np.diag(covariance))
+    unit = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    more, directions = np.linalg.eigh(root.T @ beyond @ root)
+    root = root @ directions
+    return np.asarray((root * np.maximum((1.0 + more) / lack_of_fit - 1.0, 0.0)) @ root.T)
