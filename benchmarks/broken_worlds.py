@@ -51,8 +51,8 @@ from machine_tool_calibration.session.session import Session
 _GROUP = 4
 # An uncertainty below this, m or rad, is that of a value that the datum sets.
 _SET = 1e-12
-# MarginalFit probabilities between which effects are counted.
-_BINS = (0.0, 0.8, 0.9, 0.95, 0.99, 1.0)
+# Probabilities between which effects are counted.
+_BINS = (0.0, 0.5, 0.65, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 
 @dataclass
@@ -172,7 +172,9 @@ def judge_effects(world: World, outcome: Outcome, done: Improvement, accepted: S
     wrong = [name for name in accepted if name in others and not any(alike(h, name) for h in right)]
     outcome.named = all(right[name] & set(accepted) for name in world.listed) if world.listed else None
     outcome.accepted, outcome.wrong = " ".join(f"{name} {chance[name]:.3f}" for name in accepted), " ".join(wrong)
-    outcome.told = tuple((float(chance[name]), name not in wrong) for name in accepted)
+    # What is said is the probability of the effect itself, whatever looks like it.
+    exact = {*world.listed, *world.also}
+    outcome.told = tuple((float(chance[name]), name in exact) for name in accepted)
 
 
 def judge_maps(world: World, outcome: Outcome, first: Mapping[str, Any], told: Mapping[str, Any]) -> None:
@@ -261,7 +263,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def reliability(outcomes: Sequence[Outcome], picture: Path | None) -> str:
-    """Of the effects that were accepted with a probability, how many are right."""
+    """Of the effects that were accepted with a probability, how many are those that are hidden, and no look-alikes."""
     told = np.array([one for o in outcomes for one in o.told], dtype=float).reshape(-1, 2)
     lines = ["| said with probability | effects | its mean % | right % |", "|---|---:|---:|---:|"]
     points = []
