@@ -214,14 +214,16 @@ def test_an_effect_must_lower_the_sum_of_squares() -> None:
     [((1.5, 0.1), 0.0, False), ((2.5, 0.0), 0.0, True), ((1.5, 0.1), 0.99, True), ((1.5, 1.5), 0.99, False)],
 )
 def test_sizes_that_go_together_stand_out_together(size: tuple[float, float], correlation: float, sized: bool) -> None:
-    """In standard uncertainties; a time constant that is known well says nothing of the size."""
+    """In standard uncertainties for independent noise; a time constant that is known well says nothing of the size."""
     parameters = [
         Parameter(name, unit, kind=Kind.EFFECT, owner="e") for name, unit in (("s", "1"), ("q", "1"), ("tau", "s"))
     ]
     covariance = np.eye(3)
     covariance[0, 1] = covariance[1, 0] = correlation
+    marginal = SimpleNamespace(by_memory=100.0 * np.eye(3), scatter=2.0)
+    covariance += marginal.scatter**2 * marginal.by_memory
     published = SimpleNamespace(theta=np.array([*size, 50.0]), covariance=covariance, determined=np.ones(3, dtype=bool))
-    fit = SimpleNamespace(published=published, assembly=SimpleNamespace(parameters=parameters))
+    fit = SimpleNamespace(published=published, marginal=marginal, assembly=SimpleNamespace(parameters=parameters))
     assert _sized(cast(JointFit, fit), "e") is sized
 
 
