@@ -284,21 +284,20 @@ def _with(place: tuple[int, ...], axis: int, at: int) -> tuple[int, ...]:
 
 def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Marginal:
     """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    plain, columns, scale = _plain(gram, ratio, prior)
-    return plain.with_columns(columns, scale)
+    plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros(0))
+    used = np.flatnonzero(plain.tau)
+    return plain.with_columns(gram.spread[used], plain.tau[used])
 
 
 def left_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> tuple[float, float]:
-    """`log_prior` and `squares` of that marginal alone."""
-    plain, columns, scale = _plain(gram, ratio, prior)
-    return plain.left_with(columns, scale)
-
-
-def _plain(gram: Gram, ratio: tuple[float, ...], prior: float) -> tuple[Marginal, IntArray, Array]:
-    """Where all reproduces, and the columns of what does not, with their sizes."""
-    plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros(0))
-    used = np.flatnonzero(plain.tau)
-    return plain, gram.spread[used], plain.tau[used]
+    """`log_prior` and `squares` of that marginal alone, of which many are asked for."""
+    tau = np.array(ratio)[gram.family]
+    used = tau.nonzero()[0]
+    place, scale = used + (len(gram.inner) - len(tau)), tau[used]
+    lower = _factor_of_sum(gram.inner[place[:, None], place] * np.outer(scale, scale))
+    explained = _below(lower, scale * gram.data[place])
+    left = max(gram.squares - float(explained @ explained), NOTHING * gram.squares)
+    return prior - float(np.log(lower.diagonal()).sum()), left
 
 
 def _below(lower: Array, right: Array) -> Array:
