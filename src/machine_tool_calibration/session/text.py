@@ -52,6 +52,15 @@ def read_bytes(path: Path, limit: int) -> bytes:
     return data
 
 
+def begins_with(path: Path, magic: bytes) -> bool:
+    """Whether a file can be read and begins with these bytes, as files of a kind do."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(magic)) == magic
+    except OSError:
+        return False
+
+
 def read_text(path: Path, limit: int = LARGEST) -> str:
     """The text of a small file, without byte order mark; a SessionError if too large, not UTF-8, or with NUL."""
     source, data = str(path), read_bytes(path, limit)

@@ -28,11 +28,12 @@ from machine_tool_calibration.session.folder import read_session, readings_frame
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.provenance import name_of_machine
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.text import begins_with
 from machine_tool_calibration.trends.statement import Size
 
 # "mtlb": says of which program a database is (SQLite's application_id), and which version its tables have.
 _APPLICATION, _VERSION = 0x6D746C62, 1
-_MAGIC = b"SQLite format 3\x00"
+
 # Seconds that one program waits for another that is entering.
 _PATIENCE = 30.0
 _COLUMNS = (
@@ -159,11 +160,7 @@ def _instrument(session: Session) -> str:
 
 def is_logbook(path: Path) -> bool:
     """Whether a file is an SQLite database, which of all that this package reads only a logbook is."""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
+    return begins_with(path, b"SQLite format 3\x00")
 
 
 class Logbook:
