@@ -194,7 +194,9 @@ def result_parts(
     tables = (readings_set_aside(document, opened), parameters_table(document, fit, None if on_page else _MOST_ROWS))
     yield from (table for table in tables if table.rows)
     yield from negative_words(fit, document["effects"])
-    namesakes = _namesakes(fit)
+    # Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y.
+    added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
+    namesakes = added & {*ERROR_MOTIONS, *SQUARENESS}
     missing = document["not_determined"]
     names = ((e["name"] if e["name"] not in namesakes else say("result.effect", name=e["name"])) for e in missing)
     for why, lost in group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True)):
@@ -207,12 +209,6 @@ def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
     yield from reproducibility_words(document["spread"])
     if not only_if_right(document["p_value"], document["error_map"]):
         yield from not_ruled_out(document["spread"])
-
-
-def _namesakes(fit: JointFit) -> set[str]:
-    """Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y."""
-    added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
-    return {name for name in added if name in ERROR_MOTIONS or name in SQUARENESS}
 
 
 def datum_words(document: Mapping[str, Any]) -> str:
