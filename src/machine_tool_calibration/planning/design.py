@@ -204,7 +204,7 @@ class Candidates:
         """
         some = np.flatnonzero(weights > 0)
         # the shared unknowns that these candidates bring with them
-        place = np.flatnonzero((self._never | self._families[some].any(axis=0))[self._family])
+        place = np.flatnonzero(np.asarray(self._never | self._families[some].any(axis=0))[self._family])
         shared, local, mixed = self._normal(weights, some, place)
         rows = self._priors[:, place]
         rows = rows[(rows != 0).any(axis=1)]
