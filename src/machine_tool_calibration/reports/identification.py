@@ -27,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     value_and_uncertainties,
 )
-from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, names_by_reason, suspicion_words
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.catalogue import spec_of
@@ -271,12 +271,9 @@ def goodness_of_fit(document: Mapping[str, Any]) -> Said:
 
 def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES) -> list[tuple[str, str]]:
     """From (name, reason) to each reason with the names that share it, the first ones by name."""
-    names: dict[str, list[str]] = {}
-    for name, reason in entries:
-        names.setdefault(reason, []).append(name)
     return [
         (reason, say("text.and_more", names=text, n=len(own) - most) if len(own) > most else text)
-        for reason, own in names.items()
+        for reason, own in names_by_reason(entries).items()
         for text in [together(own[:most], ", ")]
     ]
 
