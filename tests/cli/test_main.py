@@ -44,7 +44,8 @@ Write = Callable[..., None]
 def verb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
     """Writes a verb into a folder of verbs of its own."""
     monkeypatch.setattr(cli, "__path__", [str(tmp_path)])
-    monkeypatch.setattr(group, "_plugins", None)
+    monkeypatch.setitem(vars(group), "_entry_points", {})  # so that what is cached meanwhile does not stay
+    del vars(group)["_entry_points"]
 
     def write(name: str, body: str = "pass", source: str | None = None) -> None:
         text = VERB.format(body=body, returns="object") if source is None else textwrap.dedent(source)

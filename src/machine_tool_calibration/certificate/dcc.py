@@ -10,12 +10,13 @@ import pandas as pd
 
 from machine_tool_calibration.budget.conformity import Verdict
 from machine_tool_calibration.certificate.particulars import Certificate
-from machine_tool_calibration.certificate.texts import declared_conditions, recorded_conditions, statements, unstated
+from machine_tool_calibration.certificate.texts import CONDITIONS, declared_conditions, statements, unstated
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import rendered
 from machine_tool_calibration.reports.result_tables import tidy
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.words import Words, named
 
 VERSION = "3.2.1"
@@ -92,7 +93,8 @@ def _leave_out_empty(node: ElementTree.Element) -> None:
 
 def _conditions(sessions: Sequence[Session]) -> Iterator[tuple[str, str, list[tuple[str, float]]]]:
     """Name, unit and the known ends of the range of each condition that was recorded."""
-    for column in (one for session in sessions for one in recorded_conditions(session)):
+    columns = [column for session in sessions for column in summarize(session).columns]
+    for column in (one for one in columns if one.name.startswith(CONDITIONS)):
         ends = [(end, value) for end, value in (("from", column.low), ("to", column.high)) if value is not None]
         if ends:
             yield named("column", column.name), _UNITS[_CONDITION_UNITS.get(column.name, "°C")], ends

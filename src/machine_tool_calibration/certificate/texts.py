@@ -11,8 +11,7 @@ from machine_tool_calibration.report.sections import set_up
 from machine_tool_calibration.reports.budget import decision_words, rule_words
 from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.tables import TextTable, heads
-from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.session.summary import ColumnSummary, summarize
+from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.words import Verbatim, say
 
 Fact = tuple[str, Sequence[str]]
@@ -76,11 +75,6 @@ def declared_conditions(own: Certificate) -> Iterator[tuple[str, str]]:
     for key in ("temperature", "reference_temperature", "compensation", "remarks"):
         if text := getattr(own.conditions, key):
             yield say(f"certificate.{key}"), Verbatim(text)
-
-
-def recorded_conditions(session: Session) -> list[ColumnSummary]:
-    """Columns of a session that tell the conditions."""
-    return [one for one in summarize(session).columns if one.name.startswith(CONDITIONS)]
 
 
 def instruments(own: Certificate) -> Iterator[TextTable]:

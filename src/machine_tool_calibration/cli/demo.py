@@ -95,14 +95,10 @@ def error_against_truth(measured: Measured, result: Result) -> MapError:
     points, found = result.error_map.points, result.error_map.error
     if spec.turns_one_axis:
         return map_error(points, found, *_carried(site, result))
+    actual = site.functional_point(site.scene(0.0, points))
     flat = spec.probes_surface or getattr(measured.session.description, "dimension", 3) == 2
     axes = slice(0, 2 if flat else 3)
-    return map_error(points[:, axes], found[:, axes], _positions(site, points)[:, axes])
-
-
-def _positions(site: Site, points: Array) -> Array:
-    """(n, 3) true error of the tool's position at commanded points, m."""
-    return np.asarray(site.functional_point(site.scene(0.0, points)) - points)
+    return map_error(points[:, axes], found[:, axes], (actual - points)[:, axes])
 
 
 def _carried(site: Site, result: Result) -> tuple[Array, Array]:

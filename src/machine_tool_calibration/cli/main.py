@@ -17,6 +17,7 @@ import re
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -49,10 +50,6 @@ class OutputClosedError(Exception):
 class Verbs(click.Group):
     """A click group whose commands are the modules of this package and the installed plugins."""
 
-    def __init__(self, *args: object, **kwargs: object) -> None:
-        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
-        self._plugins: dict[str, EntryPoint] | None = None
-
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb; OutputClosedError instead of the BrokenPipeError that click would answer with exit status 1."""
         try:
@@ -65,14 +62,14 @@ class Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the verbs, plugins last."""
         own = sorted(_built_in())
-        return [*own, *sorted(set(self._entry_points()) - set(own))]
+        return [*own, *sorted(set(self._entry_points) - set(own))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name; None if there is none, a CalibrationError if it cannot be loaded."""
         if cmd_name in _built_in(cmd_name):
             return _load(cmd_name)
-        if cmd_name in self._entry_points():
-            return _load_plugin(self._entry_points()[cmd_name])
+        if cmd_name in self._entry_points:
+            return _load_plugin(self._entry_points[cmd_name])
         return None
 
     def resolve_command(
@@ -93,25 +90,21 @@ class Verbs(click.Group):
         """Write the verbs by what they are for, without importing those of this package."""
         summaries = _built_in()
         known = [name for names in SECTIONS.values() for name in names]
-        sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known)))}
+        entries = sorted(self._entry_points.items())
+        plugins = {name: _load_plugin(entry) for name, entry in entries if name not in summaries}
+        told = summaries | {name: _paragraph(one.help) for name, one in plugins.items() if one is not None}
+        sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known))), "Plugins": tuple(plugins)}
         for title, names in sections.items():
-            rows = [(name, _first_sentence(summaries[name])) for name in names if name in summaries]
+            rows = [(name, _first_sentence(told[name])) for name in names if name in told]
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
-        entries = sorted(self._entry_points().items())
-        plugins = [(name, _load_plugin(entry)) for name, entry in entries if name not in summaries]
-        rows = [(name, _first_sentence(_paragraph(command.help))) for name, command in plugins if command is not None]
-        if rows:
-            with formatter.section("Plugins"):
-                formatter.write_dl(rows)
 
+    @cached_property
     def _entry_points(self) -> dict[str, EntryPoint]:
-        if self._plugins is None:
-            from importlib.metadata import entry_points  # here, because most starts ask for a verb of this package
+        from importlib.metadata import entry_points  # here, because most starts ask for a verb of this package
 
-            self._plugins = {entry.name: entry for entry in entry_points(group=PLUGIN_GROUP)}
-        return self._plugins
+        return {entry.name: entry for entry in entry_points(group=PLUGIN_GROUP)}
 
 
 def _built_in(only: str | None = None) -> dict[str, str]:

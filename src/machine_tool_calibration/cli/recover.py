@@ -8,6 +8,7 @@ import click
 
 from machine_tool_calibration.cli.shared import PATH, json_option, note, progress_bar, tell_either
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.documents import picked
 
 
 @click.command("recover")
@@ -33,13 +34,10 @@ def command(bag: Path, output: Path | None, as_json: bool) -> None:
     document = {
         "format": "mtcal-recovered/1",
         "bag": saved.folder,
-        "files": saved.files,
-        "messages": saved.messages,
-        "topics": saved.topics,
+        **picked(saved, "files", "messages", "topics"),
         "start": saved.first,
         "duration": seconds,
-        "lost_bytes": saved.lost_bytes,
-        "problems": saved.problems,
+        **picked(saved, "lost_bytes", "problems"),
     }
     words = f"{saved.folder}: {saved.messages} messages of {saved.topics} topics, {seconds:.1f} s"
     tell_either(document, [words], as_json)

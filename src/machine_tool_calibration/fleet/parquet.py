@@ -11,11 +11,13 @@ from machine_tool_calibration.errors import writing
 from machine_tool_calibration.fleet.each import Done
 from machine_tool_calibration.fleet.machines import Machine, Machines
 from machine_tool_calibration.fleet.sessions import Identified, Place
+from machine_tool_calibration.reports.documents import picked
 
 _RESULT = (
     "method", "model", "observations", "used", "rms_residual", "reduced_chi_square", "degrees_of_freedom", "p_value",
 )  # fmt: skip
 _EFFECTS = ("machine", "date", "session", "effect", "probability", "coefficient", "value", "u", "unit")
+_CHANGE = ("probability", "change", "u")
 # Columns of numbers, also where none is known.
 _FLOAT = (
     "rms_residual", "reduced_chi_square", "p_value", "size_value", "size_u", "most_uncertain_u", "probability",
@@ -47,7 +49,12 @@ def machine_tables(fleet: Machines) -> dict[str, pd.DataFrame]:
     tables = {
         "machines": [_machine(one) for one in fleet.machines],
         "sessions": [row for one in fleet.machines for row in _sessions(one)],
-        "sizes": [row for one in fleet.machines for row in _sizes(one)],
+        "sizes": [
+            {"machine": one.name, "date": entry.date, "session": entry.label, **size.document()}
+            for one in fleet.machines
+            for entry in one.entries
+            for size in entry.sizes
+        ],
         "trends": [row for one in fleet.machines for row in _trends(one)],
         "effects": [row for one in fleet.machines for row in _effects(one)],
     }
@@ -103,15 +110,8 @@ def _sessions(machine: Machine) -> Iterator[dict[str, Any]]:
             "verdict": diagnosis["verdict"] if diagnosis else "",
             "effects": ",".join(one["effect"] for one in diagnosis["effects"]) if diagnosis else "",
             "outliers": diagnosis["outliers"] if diagnosis else None,
-            "software": entry.software,
-            "sha256": entry.sha256,
+            **picked(entry, "software", "sha256"),
         }
-
-
-def _sizes(machine: Machine) -> Iterator[dict[str, Any]]:
-    for entry in machine.entries:
-        for size in entry.sizes:
-            yield {"machine": machine.name, "date": entry.date, "session": entry.label, **size.document()}
 
 
 def _trends(machine: Machine) -> Iterator[dict[str, Any]]:
@@ -119,14 +119,8 @@ def _trends(machine: Machine) -> Iterator[dict[str, Any]]:
         told = one.explanation
         yield {
             "machine": machine.name,
-            "name": one.name,
-            "unit": one.unit,
-            "kind": one.kind,
-            "alarm": one.alarm,
-            "suspected": one.suspected,
-            "probability": told.probability if told else None,
-            "change": told.change if told else None,
-            "u": told.u if told else None,
+            **picked(one, "name", "unit", "kind", "alarm", "suspected"),
+            **(picked(told, *_CHANGE) if told else dict.fromkeys(_CHANGE)),
             "began_after": one.began[0] if one.changed else "",
             "began_before": one.began[1] if one.changed else "",
             "last_date": one.dates[-1],

@@ -2,7 +2,7 @@
 """What is worked out of each of many sessions: its result, and for a logbook its sizes and its diagnosis."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -117,12 +117,14 @@ def is_known(place: Place, known: frozenset[str]) -> bool:
 
 
 def _told(found: Diagnosis) -> dict[str, Any]:
-    told = {"verdict": found.verdict, "effects": list(_effects(found)), "likely": found.likely}
-    return dict(plain({**told, "outliers": len(found.gross_errors)}))
-
-
-def _effects(found: Diagnosis) -> Iterator[dict[str, Any]]:
     sizes = effect_estimates(found.fits[-1], found.accepted) if found.accepted else ()
-    for name in found.accepted:
-        own = [size.document() for size in sizes if size.owner == name]
-        yield {"effect": name, "probability": found.search.of(name).probability, "parameters": own}
+    effects = [
+        {
+            "effect": name,
+            "probability": found.search.of(name).probability,
+            "parameters": [size.document() for size in sizes if size.owner == name],
+        }
+        for name in found.accepted
+    ]
+    told = {"verdict": found.verdict, "effects": effects, "likely": found.likely}
+    return dict(plain({**told, "outliers": len(found.gross_errors)}))

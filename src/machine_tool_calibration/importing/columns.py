@@ -104,8 +104,9 @@ class Columns:
             out[name] = self.table.numbers(rule.column, name, unit)
         return out
 
-    def filled(self, role: str, values: Array) -> Array:
-        """The values, none of which may be missing: a SessionError names the empty cell."""
+    def filled(self, role: str) -> Array:
+        """(rows,) the quantity in SI, of which no row may be without: a SessionError names the empty cell."""
+        values = self.number(role)
         self._refuse_empty(role, ~np.isfinite(values))
         return values
 

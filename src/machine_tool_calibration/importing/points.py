@@ -232,7 +232,7 @@ def range_rows(columns: Columns) -> Rows:
         raise SessionError(f"{table.source}: one rotary axis, not {' and '.join(moved)}")
     if not rotary:
         columns.need(_AXES[:2], "the commanded position")
-    numbers: dict[str, Array] = {axis: columns.filled(axis, columns.number(axis)) for axis in moved}
+    numbers: dict[str, Array] = {axis: columns.filled(axis) for axis in moved}
     numbers |= {} if rotary else {axis: values + columns.origin(axis) for axis, values in numbers.items()}
     named = [*(["target"] if rotary else ()), *(["point"] if columns.has("point") else ())]
     labels: dict[str, np.ndarray] = {"setup": stations} | {name: columns.text(name) for name in named}

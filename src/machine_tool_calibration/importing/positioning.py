@@ -96,7 +96,7 @@ def _wide(columns: Columns) -> Series:
 
 def _positions(columns: Columns) -> Array:
     columns.need(("position",), "the target position")
-    return columns.filled("position", columns.number("position"))
+    return columns.filled("position")
 
 
 def _header(columns: Columns) -> Array:
@@ -137,7 +137,7 @@ def _named(table: TextTable, names: list[str]) -> tuple[Run, ...]:
 def _long(columns: Columns) -> Series:
     table = columns.table
     columns.need(("position", "direction"), "a row for each reading")
-    position = columns.filled("position", columns.number("position"))
+    position = columns.filled("position")
     if columns.has("actual"):
         deviation = columns.number("actual") - position
     else:
@@ -149,7 +149,7 @@ def _long(columns: Columns) -> Series:
     if bad is not None:
         raise SessionError(f"{table.where(bad)}: direction is {str(words[bad])!r}, neither up nor down")
     if columns.has("run"):
-        run = columns.filled("run", columns.number("run"))
+        run = columns.filled("run")
         wrong = first_true(run != np.floor(run))
         if wrong is not None:
             raise SessionError(f"{table.where(wrong)}: run is {run[wrong]:g}, not a whole number")
@@ -173,7 +173,7 @@ def circle_rows(columns: Columns, name: str) -> Rows:
     """
     columns.need(("angle",), "where on the circle")
     setup = _setup(columns, name)
-    angle = columns.filled("angle", columns.number("angle"))
+    angle = columns.filled("angle")
     if columns.has("radius"):
         deviation = columns.number("radius") - setup.radius
     else:

@@ -147,15 +147,9 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
     steps = list[Step]()
     for fit in models:
         before = steps[-1] if steps else None
+        added = [name for name in fit.effects if before and name not in before.result.effects]
+        change = (" + ".join(added) or f"model {fit.model}") if before else ""
         none = tuple(() for _ in fit.chosen.sessions)
-        steps.append(step_after(before, _change(before, fit), fit.chosen, fit.result, none))
+        steps.append(step_after(before, change, fit.chosen, fit.result, none))
     declared = noise_of(models[0].result.joint.fits[0]).declared
     return notebook(draw_steps(steps, declared))
-
-
-def _change(before: Step | None, fit: Fit) -> str:
-    """What a fit has and the one before has not."""
-    if before is None:
-        return ""
-    added = [name for name in fit.effects if name not in before.result.effects]
-    return " + ".join(added) or f"model {fit.model}"

@@ -9,6 +9,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -58,7 +59,7 @@ _STATUSES = {
 }
 
 
-class Client:
+class Client(AbstractContextManager["Client"]):
     """A node in this process, with a context and an executor of its own; a context of Python's, too.
 
     It hears while `wait`, `call` or `outcome` runs, or, once `listen` was called, in a thread of its own; then `ask`
@@ -114,9 +115,6 @@ class Client:
         for topic in _FIELDS:
             subscribe(PointCloud2, topic, partial(self._published, topic), LATCHED)
         subscribe(String, "error_map/result", lambda message: heard.publish(document=message.data), LATCHED)
-
-    def __enter__(self) -> Client:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

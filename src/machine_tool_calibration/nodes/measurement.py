@@ -2,11 +2,13 @@
 """A whole measurement: start the graph, run a procedure, record, identify, end, and say where everything is."""
 
 import json
+import operator
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -310,18 +312,13 @@ def _identify(client: Client, listeners: _Listeners, total: int, progress: Progr
             has, resets = (client.estimator.number(name) for name in ("readings", "resets"))
             why = "; estimator/reset was called during the measurement" if resets else ""
             raise CalibrationError(f"the estimator has {has} of {total} readings{why}")
-        if _is_identified(client, listeners):
+        said = [*listeners.remarks]  # nothing comes of it where the estimator is started again meanwhile
+        if client.outcome("estimator/identify", _IDENTIFY, partial(operator.ne, said, listeners.remarks)):
             break
     if not client.wait(lambda: bool(client.heard.published.document), _COLLECT):
         raise CalibrationError("the estimator's result did not arrive")
     document: dict[str, Any] = json.loads(client.heard.published.document)
     return document
-
-
-def _is_identified(client: Client, listeners: _Listeners) -> bool:
-    """Have the machine's errors identified; false where the estimator was started again meanwhile."""
-    before = len(listeners.remarks)
-    return bool(client.outcome("estimator/identify", _IDENTIFY, lambda: len(listeners.remarks) != before))
 
 
 def _save(client: Client, output: Path) -> Session | None:

@@ -174,7 +174,10 @@ class Player(ManagedNode):
                     return
                 self._advance(message)
         except RecordingError as error:
-            self._stop(error)
+            self.trouble = str(error)
+            self.get_logger().error(self.trouble)
+            self._next = None
+            self._end()
 
     def _awaits_subscribers(self, now: int) -> bool:
         """Whether what is sent as fast as possible would be over before anybody is found."""
@@ -193,14 +196,11 @@ class Player(ManagedNode):
             self._pace.set(message.log_time, time.monotonic_ns())
         if self._last_clock is None or message.log_time - self._last_clock >= self._period:
             self._tell_time(message.log_time)
-        self._publish(message)
+        self._outlets[message.topic].send(message.data)
+        self.sent += 1
         self._next = next(self._messages, None)
         if self._next is None:
             self._end()
-
-    def _publish(self, message: Message) -> None:
-        self._outlets[message.topic].send(message.data)
-        self.sent += 1
 
     def _end(self) -> None:
         self._ended = True
@@ -211,12 +211,6 @@ class Player(ManagedNode):
         self._tell_time()
         self._show()
         self.done = self._ends
-
-    def _stop(self, error: RecordingError) -> None:
-        self.trouble = str(error)
-        self.get_logger().error(self.trouble)
-        self._next = None
-        self._end()
 
     def _tell_time(self, at: int | None = None) -> None:
         if self._time_topic is None:

@@ -44,7 +44,11 @@ class Recorder(ManagedNode):
             split_seconds=self._split_time,
         )
         self.taps = Taps(self, self.resolve_topic_name("/clock") if self._waiting else "")
-        self._subscribe_known()
+        for topic in GRAPH_TOPICS:  # whose type is known: they need no publisher to be subscribed to
+            name = self.resolve_topic_name(topic.name)
+            if not self._wanted or name in self._wanted:
+                durability = "transient_local" if topic.latched else "volatile"
+                self._add(name, topic.type, Qos(depth=20000 if topic.latched else 1000, durability=durability))
         self._discover()
         self._show()
         self.every(_TAKE, self._take)
@@ -72,14 +76,6 @@ class Recorder(ManagedNode):
     def lost(self) -> int:
         """Messages that never came or could not be written."""
         return self._taken - self.bag.messages + sum(tap.lost for tap in self.taps.taps.values())
-
-    def _subscribe_known(self) -> None:
-        """Topics whose type is known need no publisher to be subscribed to."""
-        for topic in GRAPH_TOPICS:
-            name = self.resolve_topic_name(topic.name)
-            if not self._wanted or name in self._wanted:
-                durability = "transient_local" if topic.latched else "volatile"
-                self._add(name, topic.type, Qos(depth=20000 if topic.latched else 1000, durability=durability))
 
     def _discover(self) -> None:
         self.taps.follow_clock()

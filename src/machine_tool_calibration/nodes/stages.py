@@ -104,18 +104,14 @@ class Stages:
         chosen = FitRequest((live_session(text, readings, check=False),), None, self._model, self._effects, self._own)
         found = reached(chosen, self._until, self._wanted)
         self.reached.append(found)
-        self._say(found)
-        return found
-
-    def _say(self, found: Reached) -> None:
-        u = f"{found.u:.4g}" if np.isfinite(found.u) else ""
         entries: dict[str, object] = {
             "setup": found.setup,
             "readings": found.readings,
-            "U": u,
+            "U": f"{found.u:.4g}" if np.isfinite(found.u) else "",
             "wanted_U": "" if self._until.u is None else f"{self._until.u:.4g}",
             "enough": found.enough,
             **{f"probability.{name}": f"{p:.3f}" for name, p in found.probabilities.items()},
         }
         words = "enough" if found.enough else "not yet enough"
         self._status.show(Level.OK, f"{words} after setup {found.setup}", entries)
+        return found

@@ -197,17 +197,14 @@ class Candidates:
             slope[:, u] = -change
         return variance, slope
 
-    def _there(self, some: IntArray) -> BoolArray:
-        """(m,) which shared unknowns some candidates bring with them."""
-        return np.asarray(self._never | self._families[some].any(axis=0))[self._family]
-
     def _solved(self, weights: Array, *, responses: bool) -> tuple[Array, Array, Array, float]:
         """(q,) variances; redundancy; and where `responses` are wanted N^-1 j of each number.
 
         These are (m, q) of the shared unknowns and (P, d, q) of the points' own.
         """
         some = np.flatnonzero(weights > 0)
-        place = np.flatnonzero(self._there(some))
+        # the shared unknowns that these candidates bring with them
+        place = np.flatnonzero(np.asarray(self._never | self._families[some].any(axis=0))[self._family])
         shared, local, mixed = self._normal(weights, some, place)
         rows = self._priors[:, place]
         rows = rows[(rows != 0).any(axis=1)]

@@ -2,7 +2,7 @@
 """What a procedure will determine, before it is run: uncertainties, gaps, and the smallest effects to be found."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -275,10 +275,7 @@ class Forecast:
             "points": found["error_map"].get("points"),
             "not_determined": found["not_determined"],
             "datum": found["datum"],
-            "detectable": [
-                {"effect": v.effect, "coefficient": v.coefficient, "size": v.size, "unit": v.unit, "reading": v.reading}
-                for v in self.visible
-            ],
+            "detectable": [asdict(one) for one in self.visible],
             "absorbed": list(self.absorbed),
             "excluded": dict(self.excluded),
             "dominant": None if self.dominant is None else self.dominant.document(),

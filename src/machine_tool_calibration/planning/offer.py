@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import yaml
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
@@ -16,7 +15,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.procedure.description import Choices, Procedure, expanded, parse_procedure
 from machine_tool_calibration.procedure.plan import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
-from machine_tool_calibration.session.text import PlainDumper, load_yaml
+from machine_tool_calibration.session.text import load_yaml, yaml_text
 
 # Setups, or targets, that are held against each other: more would take hours.
 _MOST_CANDIDATES = 1000
@@ -127,7 +126,7 @@ class Offer:
         if "workpiece" in session:
             session["workpiece"] = [entry for entry in session["workpiece"] if entry.get("feature", "work") in kept]
         content["session"] = session
-        return _dumped(content)
+        return yaml_text(content)
 
 
 def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
@@ -152,7 +151,7 @@ def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
     returns = both_senses and present.path.alternate and max((repeats, *choices.repeats)) > 1
     session["repeats"] = 2 if returns else 1
     content["session"] = session
-    whole = parse_procedure(_dumped(content), source)
+    whole = parse_procedure(yaml_text(content), source)
     targets, always = _targets(whole, choices, source)
     first = range(own_targets) if own_targets else range(len(targets))
     now = Choice(tuple(range(own_setups)), tuple(first), repeats)
@@ -198,9 +197,3 @@ def _with_candidates(
             if len(entries) > _MOST_CANDIDATES:
                 raise SessionError(f"{where}: more than {_MOST_CANDIDATES} candidates; a coarser grid tells as much")
     return entries
-
-
-def _dumped(content: Mapping[str, Any]) -> str:
-    return yaml.dump(
-        content, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
-    )

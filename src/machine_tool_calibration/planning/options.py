@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
-from machine_tool_calibration.planning.sensing import Changed, appended, approached, first_repetition
+from machine_tool_calibration.planning.sensing import Changed, appended, approached, first_repetition, fresh_id
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.method import load
@@ -83,10 +83,7 @@ def mounted_again(session: Session, rows: IntArray) -> tuple[Description, IntArr
     setups: list[Any] = list(description.setups)
     ids = {setup.id for setup in setups}
     for s in np.unique(session.readings.setup[rows]).tolist():
-        # In front, because the end of an id may state the order of the moves.
-        name = f"again_{setups[s].id}"
-        while name in ids:
-            name = f"again_{name}"
+        name = fresh_id(setups[s].id, ids, "again_")
         ids.add(name)
         place[s] = len(setups)
         setups.append(setups[s].model_copy(update={"id": name}))

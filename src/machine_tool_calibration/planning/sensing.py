@@ -35,10 +35,10 @@ def first_repetition(session: Session, setups: Sequence[int] | None = None) -> I
     return np.flatnonzero(keep)
 
 
-def fresh_id(name: str, taken: Collection[str]) -> str:
+def fresh_id(name: str, taken: Collection[str], before: str = "new_") -> str:
     """A name for a new setup that none of the others has; what its end states, such as an order of moves, stays."""
     while name in taken:
-        name = f"new_{name}"
+        name = f"{before}{name}"
     return name
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,24 +49,10 @@ def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
 def _draw(panel: Axes, where: Array, before: Array, after: Array) -> None:
     # beside each other, so that neither hides the other
     aside = _ASIDE * float(np.ptp(where))
-    panel.plot(
-        1e3 * (where - aside),
-        1e6 * before,
-        MARKERS[1],
-        color=COLORS[1],
-        ms=4.5,
-        mfc="none",
-        label=say("compensation.before"),
-    )
-    panel.plot(
-        1e3 * (where + aside),
-        1e6 * after,
-        MARKERS[0],
-        color=FOUND,
-        ms=4.0,
-        mew=0.0,
-        label=say("compensation.left_over"),
-    )
+    hollow: dict[str, Any] = {"color": COLORS[1], "ms": 4.5, "mfc": "none", "label": say("compensation.before")}
+    full: dict[str, Any] = {"color": FOUND, "ms": 4.0, "mew": 0.0, "label": say("compensation.left_over")}
+    panel.plot(1e3 * (where - aside), 1e6 * before, MARKERS[1], **hollow)
+    panel.plot(1e3 * (where + aside), 1e6 * after, MARKERS[0], **full)
     panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
 
 

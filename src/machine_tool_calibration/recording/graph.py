@@ -92,7 +92,9 @@ def find_topics(path: Path, topics: Mapping[str, Topic], names: Mapping[str, str
                 f"{path}: no topic {role!r} of type {_TYPES[role]} with messages; it holds {_listed(topics)}"
             )
     if len(candidates[READING]) > 1 or len(candidates[SESSION]) > 1:
-        pairs = _pairs(candidates[SESSION], candidates[READING])
+        spaces = {name.rsplit("/", 1)[0]: name for name in candidates[SESSION]}
+        readings = ((name.rsplit("/", 1)[0], name) for name in candidates[READING])
+        pairs = [(spaces[space], name) for space, name in readings if space in spaces]
         if len(pairs) != 1:
             role = READING if len(candidates[READING]) > 1 else SESSION
             several = sorted(candidates[role])
@@ -116,12 +118,6 @@ def _candidates(path: Path, role: str, topics: Mapping[str, Topic], name: str | 
         for topic in topics.values()
         if topic.type == _TYPES[role] and topic.name.rsplit("/", 1)[-1] == role and topic.messages
     ]
-
-
-def _pairs(sessions: list[str], readings: list[str]) -> list[tuple[str, str]]:
-    """Those that stand in the same namespace."""
-    spaces = {name.rsplit("/", 1)[0]: name for name in sessions}
-    return [(spaces[name.rsplit("/", 1)[0]], name) for name in readings if name.rsplit("/", 1)[0] in spaces]
 
 
 def _listed(topics: Mapping[str, Topic]) -> str:

@@ -23,6 +23,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, Schema, Sta
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
+from machine_tool_calibration.session.text import reading
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -212,14 +213,9 @@ class McapReader:
         A RecordingError if it is not an MCAP file of ROS 2, or damaged; an UnfinishedError if its end is missing.
         """
         self.path = path
-        if not path.is_file():  # to open a pipe would wait for its writer
-            raise RecordingError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
-        try:
-            with path.open("rb") as stream:
-                self._check_ends(stream)
-                self.summary = self._summary(stream) or self._count()
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+        with reading(path, RecordingError), path.open("rb") as stream:
+            self._check_ends(stream)
+            self.summary = self._summary(stream) or self._count()
 
     def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[tuple[Channel, RawMessage]]:
         """The messages of the channels that are wanted (all if None), with their channel, up to a damage."""
@@ -239,15 +235,12 @@ class McapReader:
 
     def _walk(self, skip: Collection[int], wanted: Collection[int] | None) -> Iterator[RawMessage | RawRecord]:
         """Messages and registrations, in and out of chunks."""
-        try:
-            with self.path.open("rb") as stream:
-                for record in records(self.path, stream, skip=skip):
-                    if record.opcode == Opcode.DATA_END:
-                        return
-                    if record.offset not in skip:
-                        yield from messages_in(self.path, record.offset, unpack(self.path, record), wanted)
-        except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
+        with reading(self.path, RecordingError), self.path.open("rb") as stream:
+            for record in records(self.path, stream, skip=skip):
+                if record.opcode == Opcode.DATA_END:
+                    return
+                if record.offset not in skip:
+                    yield from messages_in(self.path, record.offset, unpack(self.path, record), wanted)
 
     def _check_ends(self, stream: BinaryIO) -> None:
         head = stream.read(len(MAGIC))

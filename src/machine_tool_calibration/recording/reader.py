@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
-from mcap.records import Channel
-
 from machine_tool_calibration.errors import RecordingError, SessionError, UnfinishedError
 from machine_tool_calibration.recording.cdr import decode, definition_of
 from machine_tool_calibration.recording.mcap_reader import McapReader
@@ -64,15 +62,10 @@ class BagReader:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of some topics (all if None), up to a damage."""
-        wanted = None if topics is None else frozenset(topics)
-
-        def is_wanted(channel: Channel) -> bool:
-            return wanted is None or channel.topic in wanted
-
+        names = frozenset(topics or ())
+        wanted = None if topics is None else lambda channel: channel.topic in names
         for reader in self._readers:
-            for channel, (_, sequence, log_time, publish_time, data) in reader.messages(
-                None if wanted is None else is_wanted
-            ):
+            for channel, (_, sequence, log_time, publish_time, data) in reader.messages(wanted):
                 topic = channel.topic
                 yield Message(topic, self.topics[topic].type, log_time, publish_time, sequence, data)
 

@@ -16,6 +16,7 @@ from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_reader import Channels, RawMessage, RawRecord, messages_in, records, unpack
 from machine_tool_calibration.recording.metadata import offered_qos
 from machine_tool_calibration.recording.writer import BagWriter
+from machine_tool_calibration.session.text import begins_with
 
 _LARGEST_CUT = 64 << 20  # bytes
 
@@ -41,7 +42,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
     be saved, or the new bag cannot be written.
     """
     files = _files(path)
-    if not any(_has_magic(file) for file in files):
+    if not any(begins_with(file, MAGIC) for file in files):
         raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
     problems, lost, added = list[str](), 0, set[str]()
     sizes = [file.stat().st_size for file in files]
@@ -100,14 +101,6 @@ def _number(path: Path) -> tuple[int, str]:
     return (int(match.group(1)) if match else -1, path.name)
 
 
-def _has_magic(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
-
-
 def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
     bag.add_topic(
         channel.topic,
@@ -131,7 +124,7 @@ class _Salvage:
         self._channels = Channels(path)
 
     def messages(self) -> Iterator[tuple[Channel, Schema | None, RawMessage]]:
-        if not _has_magic(self.path):
+        if not begins_with(self.path, MAGIC):
             size = self.path.stat().st_size
             self._problem("does not begin as an MCAP file does", size)
             return

@@ -4,11 +4,9 @@
 import os
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from mcap.writer import IndexType, Writer
 
@@ -73,7 +71,7 @@ class _Registered:
     schema_encoding: str
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes serialized messages; a kill costs at most what came since the last chunk.
 
     A chunk ends when it is full, and at the first `write` or `tick` after `flush_seconds`: whoever records calls
@@ -236,12 +234,7 @@ class BagWriter:
             if self._file is not None:
                 self._file.abandon()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _writer(self) -> Writer:

@@ -23,7 +23,7 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, names_by_reason, table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
@@ -60,9 +60,7 @@ def _hidden_table(diagnosis: Diagnosis) -> TextTable:
 
 
 def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
-    by: dict[str, list[str]] = {}
-    for a in _absorbed(diagnosis, of_map):
-        by.setdefault(_words(a, of_map, diagnosis), []).append(a.effect)
+    by = names_by_reason((a.effect, _words(a, of_map, diagnosis)) for a in _absorbed(diagnosis, of_map))
     return tuple((", ".join(names), what) for what, names in by.items())
 
 
@@ -276,10 +274,7 @@ def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, 
 
 
 def _excluded(diagnosis: Diagnosis) -> TextTable:
-    by: dict[str, list[str]] = {}
-    for name, why in diagnosis.excluded.items():
-        by.setdefault(why, []).append(name)
-    longest_last = sorted(by.items(), key=lambda entry: len(entry[1]))
+    longest_last = sorted(names_by_reason(diagnosis.excluded.items()).items(), key=lambda entry: len(entry[1]))
     rows = tuple((", ".join(names), why) for why, names in longest_last)
     return TextTable(say("found.excluded"), heads("effect", "why"), rows)
 

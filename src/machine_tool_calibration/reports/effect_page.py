@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import range_of
-from machine_tool_calibration.reports.tables import TextTable, table
+from machine_tool_calibration.reports.tables import TextTable, names_by_reason, table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.words import say, together
 
@@ -84,10 +84,7 @@ def _without_axis(effect: Effect) -> tuple[str, ...]:
 
 def shown_table(shown: Sequence[Shown]) -> TextTable:
     """What becomes of an effect in each simulated plan."""
-    without: dict[str, list[str]] = {}
-    for one in shown:
-        if one.left is None:
-            without.setdefault(one.why_not, []).append(one.plan)
+    without = names_by_reason((one.plan, one.why_not) for one in shown if one.left is None)
     left = [(one, one.left) for one in shown if one.left is not None]
     notes = [say("catalogue.noiseless")] if left else []
     notes += [say("catalogue.not_in", plans=", ".join(plans), why=why) for why, plans in without.items()]

@@ -36,7 +36,8 @@ def history_path(*measurements: Path) -> Path:
 
     Of several the first by its path, in whatever order they are given; the file's name names them all.
     """
-    folders = [_folder(Path(measurement)) for measurement in measurements]
+    files = ("session.yaml", "observations.csv")
+    folders = [one.parent if one.is_file() and one.name in files else one for one in map(Path, measurements)]
     if len(folders) > 1:
         ordered = sorted(folder.absolute() for folder in folders)
         place = ordered[0].parent
@@ -49,11 +50,6 @@ def history_path(*measurements: Path) -> Path:
         return folders[0] / HISTORY_FILE
     recording = folders[0].absolute()
     return recording.with_name(f"{recording.name}.{HISTORY_FILE}")
-
-
-def _folder(measurement: Path) -> Path:
-    inside = measurement.is_file() and measurement.name in ("session.yaml", "observations.csv")
-    return measurement.parent if inside else measurement
 
 
 def fingerprint(*sessions: Session) -> str:

@@ -27,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     value_and_uncertainties,
 )
-from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, names_by_reason, suspicion_words
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.catalogue import spec_of
@@ -194,7 +194,9 @@ def result_parts(
     tables = (readings_set_aside(document, opened), parameters_table(document, fit, None if on_page else _MOST_ROWS))
     yield from (table for table in tables if table.rows)
     yield from negative_words(fit, document["effects"])
-    namesakes = _namesakes(fit)
+    # Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y.
+    added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
+    namesakes = added & {*ERROR_MOTIONS, *SQUARENESS}
     missing = document["not_determined"]
     names = ((e["name"] if e["name"] not in namesakes else say("result.effect", name=e["name"])) for e in missing)
     for why, lost in group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True)):
@@ -207,12 +209,6 @@ def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
     yield from reproducibility_words(document["spread"])
     if not only_if_right(document["p_value"], document["error_map"]):
         yield from not_ruled_out(document["spread"])
-
-
-def _namesakes(fit: JointFit) -> set[str]:
-    """Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y."""
-    added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
-    return {name for name in added if name in ERROR_MOTIONS or name in SQUARENESS}
 
 
 def datum_words(document: Mapping[str, Any]) -> str:
@@ -275,12 +271,9 @@ def goodness_of_fit(document: Mapping[str, Any]) -> Said:
 
 def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES) -> list[tuple[str, str]]:
     """From (name, reason) to each reason with the names that share it, the first ones by name."""
-    names: dict[str, list[str]] = {}
-    for name, reason in entries:
-        names.setdefault(reason, []).append(name)
     return [
         (reason, say("text.and_more", names=text, n=len(own) - most) if len(own) > most else text)
-        for reason, own in names.items()
+        for reason, own in names_by_reason(entries).items()
         for text in [together(own[:most], ", ")]
     ]
 

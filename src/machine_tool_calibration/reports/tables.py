@@ -86,6 +86,14 @@ def shortened(rows: Sequence[tuple[str, ...]], most: int | None) -> tuple[tuple[
     return (*rows[:half], tuple("…" if k == 0 else "" for k in range(len(rows[0]))), *rows[-half:])
 
 
+def names_by_reason(entries: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """From (name, reason) to the names that share each reason, in the order in which they come."""
+    names: dict[str, list[str]] = {}
+    for name, reason in entries:
+        names.setdefault(reason, []).append(name)
+    return names
+
+
 def suspicion_words(suspicious: Iterable[str]) -> Iterator[str]:
     """What is suspicious in the sessions that were read (`suspicions`), a sentence each."""
     return (say("result.suspicious", what=words) for words in suspicious)

@@ -123,10 +123,6 @@ class Reading:
     values: Sequence[float]  # `position`
 
 
-def _is_same(one: Reading, other: Reading) -> bool:
-    return tuple(one.names) == tuple(other.names) and np.array_equal(one.values, other.values, equal_nan=True)
-
-
 class Received:
     """The readings of the session that is being measured, as messages bring them: in any order, and some twice."""
 
@@ -157,7 +153,9 @@ class Received:
         before = origin if self._origin is None else self._origin
         is_other = origin is not None and before is not None and abs(origin - before) > _SAME_SESSION
         # where simulated time begins at the same moment in both, two readings of one time differ
-        if is_other or not _is_same(self._readings.get(stamp, reading), reading):
+        there = self._readings.get(stamp, reading)
+        is_same = tuple(there.names) == tuple(reading.names)
+        if is_other or not (is_same and np.array_equal(there.values, reading.values, equal_nan=True)):
             forgotten = len(self)
             self.forget()
         self._origin = origin

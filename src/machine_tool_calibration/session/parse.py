@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import Field
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.record import AnyRecord, Record, either, kind_of, place_in, shown, validated
-from machine_tool_calibration.session.text import Document, PlainDumper, load_yaml, read_text
+from machine_tool_calibration.session.text import Document, load_yaml, read_text, yaml_text
 from machine_tool_calibration.session.values import Identifier
 
 FORMAT = "mtcal-session/1"
@@ -70,7 +69,7 @@ def description_yaml(description: Description) -> str:
     # What is 0 and said of no setup needs not be said.
     plain["standard_uncertainty"] = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
-    return yaml.dump(plain, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
+    return yaml_text(plain)
 
 
 class _FeaturePoints(Record):

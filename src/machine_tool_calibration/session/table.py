@@ -12,7 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.text import decoded, reject_foreign_encoding
+from machine_tool_calibration.session.text import decoded, reading, reject_foreign_encoding
 
 _CHUNK = 4 << 20
 _MAX_LINE = 1 << 20
@@ -53,15 +53,11 @@ def scan_csv(path: Path) -> Layout:
     commas, a line with more or fewer fields than the header, a column named twice.
     """
     source = str(path)
-    try:
-        if not path.is_file():
-            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
+    with reading(path):
         if path.stat().st_size > _MAX_BYTES:
             raise SessionError(f"{source}: larger than the {_MAX_BYTES >> 30} GiB that are accepted")
         with path.open("rb") as stream:
             return _scan(source, _blocks(source, stream))
-    except OSError as error:
-        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
 
 
 def _blocks(source: str, stream: BinaryIO) -> Iterator[bytes]:

@@ -9,6 +9,7 @@ knows its line. Scalars follow YAML 1.2 (`1e-7` is a number, `on` and `Y` are te
 import codecs
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,18 +39,33 @@ def reject_foreign_encoding(head: bytes, source: str, *, table: bool = False) ->
             raise SessionError(f"{source}: the text is {name}; save the file as UTF-8{read}")
 
 
+@contextmanager
+def reading(path: Path, kind: type[SessionError] = SessionError) -> Iterator[None]:
+    """Say in one line, by an error of this kind, that there is no such file, or that the system refuses to read it."""
+    try:
+        if not path.is_file():  # to open a pipe would wait for its writer
+            raise kind(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
+        yield
+    except OSError as error:
+        raise kind(f"{path}: cannot be read: {error.strerror}") from None
+
+
 def read_bytes(path: Path, limit: int) -> bytes:
     """The content of a file of at most so many bytes; a SessionError if it is none, or larger."""
-    try:
-        if not path.is_file():
-            raise SessionError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
-        with path.open("rb") as stream:
-            data = stream.read(limit + 1)
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    with reading(path), path.open("rb") as stream:
+        data = stream.read(limit + 1)
     if len(data) > limit:
         raise SessionError(f"{path}: larger than the {limit >> 20} MiB that are accepted")
     return data
+
+
+def begins_with(path: Path, magic: bytes) -> bool:
+    """Whether a file can be read and begins with these bytes, as files of a kind do."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(magic)) == magic
+    except OSError:
+        return False
 
 
 def read_text(path: Path, limit: int = LARGEST) -> str:
@@ -239,3 +255,8 @@ class PlainDumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         """Whatever it is."""
         return True
+
+
+def yaml_text(content: Any, dumper: type[PlainDumper] = PlainDumper, width: int = 120) -> str:
+    """The YAML text of what a file holds, in the order of its keys, with lists of numbers in one line."""
+    return yaml.dump(content, Dumper=dumper, sort_keys=False, default_flow_style=None, width=width, allow_unicode=True)

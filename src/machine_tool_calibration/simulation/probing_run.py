@@ -80,10 +80,8 @@ def cross(half: float = 0.082, width: float = 0.018, spheres: bool = True) -> tu
 def pins(count: int = 18, pitch_radius: float = 0.2, spheres: bool = True) -> tuple[PartPoint, ...]:
     """Cylindrical pins of 12 mm on a pitch circle, four points on each, m."""
     points = []
-    for k in range(count):
-        angle = 2.0 * np.pi * k / count
-        x, y = float(pitch_radius * np.cos(angle)), float(pitch_radius * np.sin(angle))
-        points += _circle(f"pin{k + 1}", x, y, 0.006, 4)
+    for k, (_, x, y, *_) in enumerate(_circle("", 0.0, 0.0, pitch_radius, count), 1):
+        points += _circle(f"pin{k}", x, y, 0.006, 4)
     if spheres:
         points += _spheres((0.31, 0.12), (-0.14, -0.29), 0.015)
     return _numbered(points)

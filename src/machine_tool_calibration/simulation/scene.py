@@ -84,9 +84,6 @@ def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> Envir
     return Environment(drifts)
 
 
-_STANDARD = {"air_pressure": 101325.0, "relative_humidity": 0.5}
-
-
 @dataclass(frozen=True)
 class Scene:
     """Commands and conditions of n readings in the order of time."""
@@ -126,7 +123,7 @@ class Scene:
         return self._drift(column).rate(self.time)
 
     def _drift(self, column: str) -> Drift:
-        return self.environment.drifts.get(column, Drift(_STANDARD.get(column, 20.0)))
+        return self.environment.drifts.get(column, Drift(_MEAN.get(column, 20.0)))
 
     def toward(self, axis: str) -> Array:
         """(n,) sign of the last move of an axis; +1 where it did not move."""

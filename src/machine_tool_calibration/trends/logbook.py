@@ -9,7 +9,6 @@ after the other, is the entry's.
 """
 
 import datetime
-import io
 import json
 import sqlite3
 import tempfile
@@ -23,16 +22,15 @@ from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
-from machine_tool_calibration.session.csv_text import write_csv
-from machine_tool_calibration.session.folder import read_session, readings_frame
-from machine_tool_calibration.session.parse import description_yaml
-from machine_tool_calibration.session.provenance import name_of_machine
+from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.session.provenance import name_of_machine, recorded_texts
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.text import begins_with
 from machine_tool_calibration.trends.statement import Size
 
 # "mtlb": says of which program a database is (SQLite's application_id), and which version its tables have.
 _APPLICATION, _VERSION = 0x6D746C62, 1
-_MAGIC = b"SQLite format 3\x00"
+
 # Seconds that one program waits for another that is entering.
 _PATIENCE = 30.0
 _COLUMNS = (
@@ -124,8 +122,7 @@ def entry_of(
     told = date or about.get("date") or about.get("time")
     if not told:
         raise CalibrationError(f"{label}: nothing says when it was measured: `about: {{date: 2026-05-04}}`, or --date")
-    text = io.StringIO(newline="")
-    write_csv(readings_frame(session.as_recorded), text)
+    description, readings = recorded_texts(session)
     return Entry(
         number=0,
         machine=name,
@@ -136,8 +133,8 @@ def entry_of(
         software=origin["software"],
         result=result,
         sizes=tuple(sizes),
-        description=description_yaml(session.description),
-        readings=text.getvalue(),
+        description=description,
+        readings=readings,
     )
 
 
@@ -159,11 +156,7 @@ def _instrument(session: Session) -> str:
 
 def is_logbook(path: Path) -> bool:
     """Whether a file is an SQLite database, which of all that this package reads only a logbook is."""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
+    return begins_with(path, b"SQLite format 3\x00")
 
 
 class Logbook:

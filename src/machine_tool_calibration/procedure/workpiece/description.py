@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
@@ -40,7 +39,7 @@ from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.record import NotNegative, Positive, Record, validated
-from machine_tool_calibration.session.text import LARGEST_TABLE, PlainDumper, read_yaml
+from machine_tool_calibration.session.text import LARGEST_TABLE, PlainDumper, read_yaml, yaml_text
 
 _LARGEST_LENGTH, _SMALLEST_LENGTH = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
 Finite = Annotated[float, Field(ge=-_LARGEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]
@@ -166,7 +165,7 @@ def points_csv(points: Sequence[WorkpiecePoint]) -> str:
 
 def points_yaml(points: Sequence[WorkpiecePoint]) -> str:
     """The key `workpiece` of a session."""
-    return _dumped(_workpiece(points))
+    return yaml_text(_workpiece(points), _Dumper, 1000)
 
 
 def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
@@ -178,17 +177,13 @@ def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
     content = dict(read_yaml(file, LARGEST_TABLE).value)
     content["session"] = {**content["session"], **_workpiece(points)}
-    text = _dumped(content)
+    text = yaml_text(content, _Dumper, 1000)
     parse_procedure(text, str(file))
     return text
 
 
 def _workpiece(points: Sequence[WorkpiecePoint]) -> dict[str, Any]:
     return {"workpiece": [_Flow(entry) for entry in workpiece_entries(tuple(points))]}
-
-
-def _dumped(content: dict[str, Any]) -> str:
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=1000, allow_unicode=True)
 
 
 # Kinds of features, by which records are distinguished: no keys of the file.

@@ -65,7 +65,8 @@ def _travel(session: Session, place: Place) -> None:
 
 def _positions(session: Session, place: Place) -> None:
     for axis, value, where in _largest(session, place, "xyz"):
-        travel, reach = _reach(session, axis), abs(value)
+        bounds, reach = _bounds(session, axis), abs(value)
+        travel = None if bounds is None else max(map(abs, bounds))
         if travel is not None and reach > _THOUSAND * travel:
             raise SessionError(f"{where}: {axis} is {value:g} m and the travel ends at {travel:g} m; {MILLIMETRES}")
         if reach > (LARGEST_MACHINE if travel is None else max(LARGEST_MACHINE, 2 * travel)):
@@ -134,9 +135,9 @@ def _displacement(session: Session, place: Place) -> None:
 
 def _like_places(session: Session, typical: float) -> str | None:
     """The axis whose column has deviations, where the displacements, of that size in the middle, are its places."""
-    travel, values = session.description.machine.travel, session.readings.displacement
+    values = session.readings.displacement
     for axis in "xyz":
-        position, bounds = session.readings.columns.get(axis), travel.get(axis) or travel.get(axis.upper())
+        position, bounds = session.readings.columns.get(axis), _bounds(session, axis)
         if position is None or bounds is None or not np.ptp(position):
             continue
         slack = 0.05 * (bounds[1] - bounds[0])
@@ -171,10 +172,9 @@ def _environment(session: Session, place: Place) -> None:
             raise SessionError(f"{where}: relative_humidity is {value:g}; these look like percent; it is from 0 to 1")
 
 
-def _reach(session: Session, axis: str) -> float | None:
+def _bounds(session: Session, axis: str) -> tuple[float, float] | None:
     travel = session.description.machine.travel
-    bounds = travel.get(axis) or travel.get(axis.upper())
-    return None if bounds is None else max(abs(bounds[0]), abs(bounds[1]))
+    return travel.get(axis) or travel.get(axis.upper())
 
 
 def _largest(session: Session, place: Place, names: Iterable[str]) -> Iterator[tuple[str, float, str]]:
