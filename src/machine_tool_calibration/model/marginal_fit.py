@@ -103,6 +103,13 @@ class MarginalFit:
     ratios: Array
     by_memory: Array | None = None  # what of the covariance is by the noise's memory
 
+    @property
+    def memory_factor(self) -> float:
+        """Standard uncertainty of what the noise's memory widens most, over that by independent noise."""
+        whole = np.diag(self.solution.covariance)
+        own = whole if self.by_memory is None else whole - np.diag(self.by_memory)
+        return float(np.sqrt(np.max(whole[own > 0.0] / own[own > 0.0], initial=1.0)))
+
     def coefficients(self, index: int) -> IntArray:
         """(k,) places of the coefficients of a session's functions in the solution."""
         first = len(self.solution.theta) - sum(map(len, self.functions)) + sum(map(len, self.functions[:index]))

@@ -224,6 +224,7 @@ class Identified(ABC):
             "effects": list(self.effects),
             "spread": [size.document() for size in marginal.sizes],
             "scatter_factor": marginal.scatter,
+            "memory_factor": marginal.memory_factor,
             "uncertainty": "identification" if self.variance_added is None else "budget",
             "parameters": [estimate.document() for estimate in self.parameters],
             "error_map": plain(self.error_map.content),

@@ -37,6 +37,9 @@ from machine_tool_calibration.words import Said, Verbatim, named, say, together
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import Entry
 
+# By how much a standard uncertainty is widened by the noise's memory from which that is said.
+_MEMORY = 1.25
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -205,8 +208,13 @@ def result_parts(
 
 
 def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
-    """What does not reproduce; the most that it may be only where the model fits, as runs share what it lacks."""
+    """What does not reproduce, and that noise has a memory.
+
+    The most that the former may be only where the model fits, as runs share what it lacks.
+    """
     yield from reproducibility_words(document["spread"])
+    if document["memory_factor"] >= _MEMORY:
+        yield say("fit.memory", times=rounded(document["memory_factor"]))
     if not only_if_right(document["p_value"], document["error_map"]):
         yield from not_ruled_out(document["spread"])
 
