@@ -35,10 +35,10 @@ from typing import Any
 
 import numpy as np
 import threadpoolctl
+from in_order import in_order
 from worlds import ALIKE, ROWS, UNLISTED, Row, Values, World, gain, least_squares
 
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
-from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import declared

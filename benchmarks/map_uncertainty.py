@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import threadpoolctl
+from in_order import in_order
 
-from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.session import Session

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 import threadpoolctl
+from in_order import in_order
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17

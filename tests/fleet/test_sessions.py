@@ -16,10 +16,11 @@ from shutil import copytree
 import numpy as np
 import pandas as pd
 import pytest
+from in_order import in_order
 
 from machine_tool_calibration.cli.diagnosing import Wanted, fit_one
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.fleet.each import _LOCAL, _kept, each, in_order
+from machine_tool_calibration.fleet.each import _LOCAL, _kept, each
 from machine_tool_calibration.fleet.parquet import identified_tables, write_tables
 from machine_tool_calibration.fleet.sessions import Place, evaluated, identified, is_known, places
 from machine_tool_calibration.interface.identification import identify

@@ -70,26 +70,6 @@ def each(
         yield from _on_dask(_client(stack, scheduler, workers), work, items)
 
 
-def in_order(
-    work: Callable[[Item], Found], items: Sequence[Item], *, scheduler: str | None = None, workers: int | None = None
-) -> list[Found]:
-    """What `each` gives of all items, in their order: for draws and benchmarks, where none may fail.
-
-    A CalibrationError as for `each`, or the work for an item failed.
-    """
-    found: dict[int, Found] = {}
-    numbered = list(enumerate(items))
-    for one in each(partial(_numbered, work), numbered, scheduler=scheduler, workers=workers):
-        if one.found is None:
-            raise CalibrationError(f"{one.item[1]}: {one.problem}")
-        found[one.item[0]] = one.found[0]
-    return [found[k] for k in range(len(numbered))]
-
-
-def _numbered(work: Callable[[Item], Found], numbered: tuple[int, Item]) -> tuple[Found]:
-    return (work(numbered[1]),)
-
-
 def _attempt(work: Callable[[Item], Found], item: Item) -> Done[Item, Found]:
     try:
         with single_blas():
