@@ -143,9 +143,8 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         repeated = _of_repeats(solved, ())
         again = (0.0, 0.0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
-        by_places = (scatter / _scatter(solution.chi_square, solution.degrees_of_freedom)) ** 2
         none, known, left = np.zeros(0), solution.covariance, solution.chi_square
-        found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, by_places, known)
+        found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, known)
     mean, covariance = found.mean, found.covariance
     if wide.priors is not None:
         covariance = _with_its_own(covariance, wide.priors, found.scatter)
@@ -154,7 +153,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         mean, covariance = value - theta, known / found.scatter**2
     by_memory = np.zeros_like(covariance)
     if problem.n_readings <= _ENOUGH:
-        by_memory = added_by_memory(observed, wide, solution, found.mean, found.estimator, found.lack_of_fit)
+        by_memory = added_by_memory(observed, wide, solution, found.mean, found.estimator, found.squares, found.scatter)
     published = replace(
         solution,
         theta=theta + mean,
@@ -194,7 +193,6 @@ class _Marginal:
     random: RandomPosterior | None
     squares: float
     ratios: Array
-    lack_of_fit: float  # the square of `scatter` over what it is by the readings alone
     estimator: Array  # the covariance without what moves nothing: times the columns it takes readings to the mean
 
 
@@ -256,8 +254,7 @@ def _averaged(
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
         estimator, random = covariance, found_random[int(np.argmax(weights))]
     sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
-    by, lack_of_fit = np.sqrt(weights @ tau**2), (scatter / plain) ** 2
-    return _Marginal(mean, covariance, scatter, sizes, random, squares_left, by, lack_of_fit, estimator)
+    return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2), estimator)
 
 
 def _imperfect(observations: Observations) -> tuple[Family, ...]:

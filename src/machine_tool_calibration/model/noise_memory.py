@@ -10,11 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation.marginal import noise_variance
 from machine_tool_calibration.estimation.problem import Problem
 from machine_tool_calibration.estimation.reduction import columns_without_points
 from machine_tool_calibration.estimation.serial_correlation import beyond_independent, memory_of
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.model.observations import Observations
+
+# Share of the degrees of freedom that is left of noise, however slow it is.
+_LEAST_LEFT = 0.2
 
 
 def added_by_memory(
@@ -23,12 +27,14 @@ def added_by_memory(
     solution: Solution,
     step: Array,
     covariance: Array,
-    lack_of_fit: float,
+    squares: float,
+    scatter: float,
 ) -> Array:
-    """(m, m) what the noise's memory adds to a covariance for noise of variance 1.
+    """(m, m) what the noise's memory adds to a covariance over the square of `scatter`.
 
-    It makes nothing better, and is the same as that places differ more than their repeats as far as these are read in a
-    row: in each direction of the unknowns the larger of both counts.
+    In each direction of the unknowns the larger counts: what is published for independent readings, as uncertain as
+    declared at least, or more where places differ more than their repeats; or noise with its memory, as large as it is
+    found. So it makes nothing better, and what is left of readings without noise has no say.
 
     Args:
         observed: the readings of each session.
@@ -36,7 +42,8 @@ def added_by_memory(
         solution: where it is linearised; of its unknowns those that the problem has beside are zero there.
         step: (m,) estimate less solution.
         covariance: (m, m) of the estimate.
-        lack_of_fit: by how much it is to be multiplied because places differ more than their repeats.
+        squares: weighted sum of squared residuals.
+        scatter: standard uncertainties over those from the declared one, for independent readings.
     """
     theta = np.pad(solution.theta, (0, len(step) - len(solution.theta)))
     parts = zip(problem.parts, solution.local, strict=True)
@@ -58,4 +65,8 @@ def added_by_memory(
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     more, directions = np.linalg.eigh(root.T @ beyond @ root)
     root = root @ directions
-    return np.asarray((root * np.maximum((1.0 + more) / lack_of_fit - 1.0, 0.0)) @ root.T)
+    dof = solution.degrees_of_freedom
+    variance = min(squares / dof, float(noise_variance(squares, dof))) / scatter**2
+    # The unknowns take up what is slow: of such noise n - tr(R C A A^T) times its variance is left.
+    more *= dof / max(dof - float(more.sum()), _LEAST_LEFT * dof)
+    return np.asarray((root * np.maximum((1.0 + more) * variance - 1.0, 0.0)) @ root.T)

@@ -19,11 +19,11 @@ TIME = 5.0 * np.arange(N)
 WARM = 1.0 - np.exp(-TIME / 300.0)
 
 
-def one_place(displacement: Array) -> Session:
+def one_place(displacement: Array, declared: float = SIGMA) -> Session:
     """One place that is read again and again."""
     columns = dict(zip(("gx", "gy", "gz", "x", "y", "z"), np.zeros((6, N)), strict=True))
     columns |= {"gx": np.ones(N), "time": TIME, "displacement": displacement}
-    return plates.session(columns, SIGMA, "offset", ["EXX"], np.zeros(N, dtype=np.int64), "A")
+    return plates.session(columns, declared, "offset", ["EXX"], np.zeros(N, dtype=np.int64), "A")
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -49,6 +49,13 @@ def test_u_of_what_is_slow_counts_it() -> None:
         found = {p.name: p for p in identify(one_place(noise + size * WARM), effects=["warmup_x"]).parameters}
         away.append((found["warmup_x.a"].value - size) / found["warmup_x.a"].standard_uncertainty)
     assert 0.4 < rms(np.array(away)) < 1.3
+
+
+@pytest.mark.parametrize(("declared", "widened"), [(1.0, True), (30.0, False)])
+def test_u_is_no_larger_for_what_is_much_smaller_than_declared(declared: float, widened: bool) -> None:
+    """An instrument may be off by as much as declared; what its readings share beside that says nothing of it."""
+    session = one_place(SIGMA * remembering(np.random.default_rng(2), N, 0.8), declared * SIGMA)
+    assert (identify(session).joint.marginal.memory_factor > 2.0) is widened
 
 
 def test_a_missing_effect_is_no_memory() -> None:
