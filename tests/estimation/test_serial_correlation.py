@@ -32,14 +32,14 @@ def pairs(*lengths: int) -> tuple[IntArray, IntArray]:
 
 
 def test_its_evidence_is_that_of_the_dense_covariance() -> None:
-    residuals, dof, prior = np.random.default_rng(3).normal(size=17), 17.0, priors.DECLARED_DOF
+    residuals, dof = np.random.default_rng(3).normal(size=17), 17.0
     found = memory_of(residuals, *pairs(9, 1, 7), dof)
     run = np.repeat([0, 1, 2], [9, 1, 7])
     apart = np.abs(np.subtract.outer(np.arange(17), np.arange(17)))
     for rho, log in zip(priors.CORRELATIONS, found.log_evidence, strict=True):
         covariance = np.where(np.equal.outer(run, run), rho**apart, 0.0)
         squares = residuals @ np.linalg.solve(covariance, residuals)
-        exact = -0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * (dof + prior) * np.log(prior + squares)
+        exact = -0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * dof * np.log(squares)
         assert log == pytest.approx(exact, rel=1e-9)
 
 
@@ -58,7 +58,7 @@ def test_what_is_beyond_independent_noise_is_by_the_dense_correlations_of_each_r
 
 def test_white_residuals_have_no_memory_however_small_they_are() -> None:
     white, (before, after) = np.random.default_rng(6).normal(size=200), pairs(100, 100)
-    alone = [memory_of(size * white, before, after, 200.0, 0.0).readings_per_independent for size in (1.0, 0.01)]
+    alone = [memory_of(size * white, before, after, 200.0).readings_per_independent for size in (1.0, 0.01)]
     assert alone == pytest.approx([1.1, 1.1], abs=0.1)
 
 

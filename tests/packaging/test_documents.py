@@ -4,7 +4,6 @@
 import json
 import re
 import shlex
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,8 +104,6 @@ GUIDES = sorted((ROOT / "docs" / "guides").glob("*.md"))
 @pytest.mark.usefixtures("rough_pictures", "found_once")
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda guide: guide.stem)
 def test_a_guide_runs_from_top_to_bottom(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for procedure in (ROOT / "config" / "procedures").glob("*.yaml"):
-        shutil.copy(procedure, tmp_path)
     monkeypatch.chdir(tmp_path)
     text = guide.read_text(encoding="utf-8")
     for name, content in re.findall(r"^```\w+ (\S+\.\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):

@@ -10,6 +10,8 @@ from machine_tool_calibration.words import say
 
 # Times the usual interval of a setup's readings from which a run ends: the way round changes, or the bar is set up.
 _NEW_RUN = 2.5
+# Readings of a run from which it has frequencies.
+_FEWEST = 3
 # Waves of a run, at least: fewer are a form of the circle. Step of the frequencies, over one over the longest run.
 _WAVES, _STEP = 4.0, 0.4
 # Frequencies that are kept with their two neighbours; most readings of a run that are transformed.
@@ -61,6 +63,8 @@ class Vibration(AxisEffect):
         power, along, left = np.zeros(len(tried)), self.along(observations), _without_form(observations, run)
         for mine in (run == k for k in range(run.max() + 1)):
             time, seen = observations.clock[mine], left[mine] * along[mine]
+            if len(time) < _FEWEST or not np.ptp(time):
+                continue
             count = min(len(time), _MOST)
             even = np.linspace(time[0], time[-1], count)
             spectrum = np.fft.rfft(np.interp(even, time, seen), n=int(count / _STEP))
@@ -96,7 +100,7 @@ def _middle(clock: Array, run: IntArray) -> Array:
 def _frequencies(observations: Observations) -> Array:
     """(k,) from a few waves in the shortest run up to half the highest rate of the readings, Hz."""
     run, clock = _runs(observations), observations.clock
-    times = [own for own in (clock[run == k] for k in range(run.max() + 1)) if len(own) > 2 and np.ptp(own) > 0.0]
+    times = [own for own in (clock[run == k] for k in range(run.max() + 1)) if len(own) >= _FEWEST and np.ptp(own)]
     if not times:
         return np.zeros(0)
     length = [float(np.ptp(own)) for own in times]

@@ -50,18 +50,16 @@ def per_independent(correlation: Array) -> Array:
     return np.asarray((1.0 + correlation) / (1.0 - correlation))
 
 
-def memory_of(
-    residuals: Array, before: IntArray, after: IntArray, dof: float, prior_dof: float = priors.DECLARED_DOF
-) -> Memory:
-    """What residuals say of the noise's memory.
+def memory_of(residuals: Array, before: IntArray, after: IntArray, dof: float) -> Memory:
+    """What residuals say of the noise's memory: by what neighbours share, whatever the size of all of them.
+
+    Where the uncertainty is declared too large, white residuals would else be the little that is left of slow noise.
 
     Args:
         residuals: (n,) over their declared uncertainty.
         before: (k,) the reading before each of `after` in its setup.
         after: (k,) readings that are not the first of their setup.
         dof: degrees of freedom of the residuals.
-        prior_dof: those with which the declared uncertainty is that of the noise; 0 where its memory is told by what
-            neighbours share alone, however small they are.
     """
     share = dof / max(len(residuals), 1)
     first = np.delete(residuals, after)
@@ -69,8 +67,7 @@ def memory_of(
     rounding = _ROUNDING**2 * len(own)
     steps = own @ own + rounding - 2.0 * _RHO * (own @ last) + _RHO**2 * (last @ last + rounding)
     squares = first @ first + _ROUNDING**2 * len(first) + steps / (1.0 - _RHO**2)
-    logs = -0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * (dof + prior_dof) * np.log(prior_dof + squares)
-    return Memory(logs)
+    return Memory(-0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * dof * np.log(squares))
 
 
 def beyond_independent(memory: Memory, columns: Array, before: IntArray, after: IntArray) -> Array:

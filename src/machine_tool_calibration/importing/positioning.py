@@ -164,6 +164,8 @@ _CW = ("cw", "-", "-1", "g2", "g02", "right", "↻")
 # Steps of which most go the way round: a trigger scatters. Readings that a run has at least. Share of the usual step
 # below which nothing moved.
 _WINDOW, _FEWEST, _STANDS = 5, 8, 0.25
+# How far before a reading an axis's sense is looked at: where it turns round it still has that of the way there, rad.
+_BEFORE = 1e-6
 
 
 def circle_rows(columns: Columns, name: str) -> Rows:
@@ -182,7 +184,8 @@ def circle_rows(columns: Columns, name: str) -> Rows:
     if columns.mapping.sign == "nominal-minus-actual" and not columns.has("radius"):
         deviation = -deviation
     sense, run = _runs(columns, angle)
-    place, tangent = places(setup, angle)
+    place = places(setup, angle)[0]
+    tangent = places(setup, angle - sense * _BEFORE)[1]
     numbers: dict[str, Array] = dict(zip("xyz", place.T, strict=True))
     for axis in setup.plane:
         numbers[f"dir_{axis.lower()}"] = np.where(sense * tangent[:, "XYZ".index(axis)] < 0.0, -1.0, 1.0)

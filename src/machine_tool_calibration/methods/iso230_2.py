@@ -19,6 +19,8 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
 _DRAWS = 200
+# Square of a deviation that is nothing, m^2.
+_NOTHING = 1e-24
 # Cosine between the direction that is read and the line from which it is read along it.
 _ALONG = 0.9999
 # Extent of a place, m; commanded positions that are one target, m; how far off the line a reading may be, m.
@@ -128,39 +130,67 @@ def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> t
     return mean, s, count
 
 
-def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
+def positioning_uncertainty(figures: Positioning, runs_up: Array, runs_down: Array) -> dict[str, float]:
     """Expanded uncertainty (k = 2) by figure, from the repeatability that the figures were found with.
 
-    As of repeated tests: every figure is worked out again for runs that are drawn about the means with the standard
-    deviation found, of each direction over all positions; twice the standard deviation of what comes out. The
-    uncertainty of the instrument and of its alignment and temperature (the standard's Annex A, from certificates
-    that a session does not hold) is not in it; figures that the readings do not give are left out.
+    As of repeated tests: every figure is worked out again for runs that are drawn, with the standard deviation found of
+    each direction over all positions, of which the runs as a whole have their share; about the means found, whose
+    reversals differ by no more than noise does not explain. U is twice the root mean square of what comes out about the
+    figure of those means, as the largest of many is too large by chance. The uncertainty of the instrument and of its
+    alignment and temperature (the standard's Annex A, from certificates that a session does not hold) is not in it;
+    figures that the readings do not give are left out.
+
+    Args:
+        figures: as found.
+        runs_up: (k, m) deviations of the runs upwards, m; NaN where a position was not read.
+        runs_down: (l, m) of those downwards.
     """
     rng = np.random.default_rng(1)
-    counted = counted_positions(figures.count_up, figures.count_down)
-    position, direction, centre, spread = [], [], [], []
-    for sign, mean, s, count in (
-        (1, figures.mean_up, figures.s_up, figures.count_up),
-        (-1, figures.mean_down, figures.s_down, figures.count_down),
-    ):
-        runs = int(count.max(initial=0))
-        for k in range(runs):
-            there = np.flatnonzero((count > k) & np.isfinite(s) & counted)
-            position.append(figures.position[there])
-            direction.append(np.full(len(there), sign))
-            centre.append(mean[there])
-            # One scatter for all positions: that of a single one, from a few runs, is itself uncertain.
-            spread.append(np.full(len(there), rms(s[np.isfinite(s) & counted])))
-    if not position or not sum(len(p) for p in position):
+    told = [np.isfinite(s) for s in (figures.s_up, figures.s_down)]
+    seen = counted_positions(figures.count_up, figures.count_down) & (told[0] | told[1])
+    if not seen.any():
         return {}
-    at, sense, mean, s = (np.concatenate(parts) for parts in (position, direction, centre, spread))
-    drawn = mean + s * rng.standard_normal((_DRAWS, len(s)))
-    target, index = np.unique(at, return_inverse=True)
-    up_mean, up_s, _ = _statistics(index.reshape(-1), drawn, sense > 0, len(target))
-    down_mean, down_s, _ = _statistics(index.reshape(-1), drawn, sense < 0, len(target))
-    of_axis = _of_axis(up_mean, up_s, down_mean, down_s)
-    out = {name: 2.0 * float(np.std(of_axis[name])) for name in FIGURES}
+    # One scatter for all positions: that of a single one, from a few runs, is itself uncertain.
+    pooled = [rms(s[t & seen]) for s, t in zip((figures.s_up, figures.s_down), told, strict=True)]
+    counts = [np.maximum(count, 1) for count in (figures.count_up, figures.count_down)]
+    reversal = figures.reversal[np.isfinite(figures.reversal) & seen]
+    off = np.nan_to_num(figures.reversal - np.mean(reversal)) if len(reversal) else np.zeros(len(seen))
+    noise = float(np.mean(sum(s**2 / n[seen] for s, n in zip(pooled, counts, strict=True))))
+    explained = 1.0 - np.sqrt(1.0 - noise / max(rms(off[seen]) ** 2, noise, _NOTHING))
+    drawn, true = list[Array](), list[Array]()
+    for sign, mean, runs, t, s in (
+        (-0.5, figures.mean_up, runs_up, told[0], pooled[0]),
+        (0.5, figures.mean_down, runs_down, told[1], pooled[1]),
+    ):
+        centre = (mean + sign * explained * off)[seen]
+        read = np.where(np.isfinite(runs) & t, 0.0, np.nan)[:, seen]
+        shared = _shared_by_runs((runs - mean)[:, seen] + read, s)
+        own = np.sqrt(max(s**2 - shared**2, 0.0)) * rng.standard_normal((_DRAWS, *read.shape))
+        all_of_run = shared * rng.standard_normal((_DRAWS, len(read), 1))
+        drawn += _mean_and_s(centre + read + own + all_of_run)
+        true += [centre + _mean_and_s(read[None])[0][0], s + _mean_and_s(read[None])[1][0]]
+    found, expected = _of_axis(*drawn), _of_axis(*true)
+    out = {name: 2.0 * rms(found[name] - expected[name]) for name in FIGURES}
     return {name: value for name, value in out.items() if np.isfinite(value) and np.isfinite(getattr(figures, name))}
+
+
+def _shared_by_runs(residuals: Array, s: float) -> float:
+    """Standard deviation that all readings of a run have in common, m, from (k, m) deviations from the means."""
+    mean, count = _mean_and_s(residuals.T[None])[0][0], np.isfinite(residuals).sum(axis=1)
+    known = mean[count > 0]
+    if len(known) < 2:
+        return 0.0
+    between = float(np.sum(known**2)) / (len(known) - 1)
+    return float(np.sqrt(np.clip(between - s**2 * np.mean(1.0 / count[count > 0]), 0.0, s**2)))
+
+
+def _mean_and_s(runs: Array) -> list[Array]:
+    """Mean and standard deviation (…, m) of runs (…, k, m), of those that read a position; NaN where too few did."""
+    count = np.isfinite(runs).sum(axis=-2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.nansum(runs, axis=-2) / np.where(count > 0, count, np.nan)
+        squares = np.nansum((runs - mean[..., None, :]) ** 2, axis=-2)
+        return [mean, np.sqrt(squares / np.where(count > 1, count - 1, np.nan))]
 
 
 def positioning_runs(
@@ -186,13 +216,14 @@ def positioning_runs(
         if len(places) < 2 or alone:
             continue
         figures = positioning(position, direction, deviation)
-        uncertainties = positioning_uncertainty(figures) if uncertain else {}
+        runs = {way: _runs(figures.position, position, deviation, direction * sign > 0)
+                for way, sign in (("up", 1.0), ("down", -1.0))}  # fmt: skip
+        uncertainties = positioning_uncertainty(figures, runs["up"], runs["down"]) if uncertain else {}
         expanded = {f"{key}_U": value for key, value in uncertainties.items()}
         signs = "".join("N0P"[int(np.sign(part)) + 1] for part in line)
         axis = signs if diagonals else "XYZ"[int(np.argmax(line))]
         told = {"setup": name, "axis": axis, **asdict(figures), **expanded}
-        told |= {f"runs_{way}": _runs(figures.position, position, deviation, direction * sign > 0)
-                 for way, sign in (("up", 1.0), ("down", -1.0))}  # fmt: skip
+        told |= {f"runs_{way}": own for way, own in runs.items()}
         if expanded:
             told["note"] = "U is from the repeatability of the runs alone; that of the instrument comes on top."
         out.append(told)

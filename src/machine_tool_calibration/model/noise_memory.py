@@ -52,7 +52,7 @@ def added_by_memory(
     first = np.cumsum([0, *(len(own) for own in observed)])
     pairs = [np.array(own.neighbours) for own in observed]
     before, after = np.concatenate([own + at for own, at in zip(pairs, first, strict=False)], axis=1)
-    memory = memory_of(np.concatenate(left), before, after, solution.degrees_of_freedom, prior_dof=0.0)
+    memory = memory_of(np.concatenate(left), before, after, solution.degrees_of_freedom)
     beyond = np.zeros_like(covariance)
     for (place, columns), own in zip(each, pairs, strict=True):
         beyond[np.ix_(place, place)] += beyond_independent(memory, columns[:-1], *own)

@@ -21,6 +21,8 @@ from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.words import Said, say, together
 
+# Share of the scatter about the model that standard uncertainties have where they contain what makes it.
+_CONTAINED = 0.8
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
 
@@ -42,7 +44,9 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
         key = {"bad": "_bad", "nearly": "_nearly"}.get(how, "")
         both, ratio = _both(own, scatter["declared"]), rounded(own / scatter["declared"])
         agree = say(f"fit.one_direction{key}", both=both, ratio=ratio)
-        return together((agree, say("fit.reversal")) if lacks_reversal(content) else (agree,))
+        contained = scatter["factor"] * scatter["declared"] > _CONTAINED * scatter["found"]
+        reversal = say("fit.reversal" if contained else "fit.reversal_beside")
+        return together((agree, reversal) if lacks_reversal(content) else (agree,))
     if used:
         return say("fit.scatter_used", ratio=ratio, both=both)
     if how == "bad":

@@ -42,6 +42,13 @@ def test_an_effect_is_found_beside_it() -> None:
     assert found.search.memory == pytest.approx(9.0, rel=0.5)
 
 
+def test_an_uncertainty_that_is_declared_too_large_is_no_memory() -> None:
+    white = SIGMA * np.random.default_rng(1).normal(size=N)
+    found = diagnose(one_place(white + 15.0 * SIGMA * WARM, 10.0 * SIGMA))
+    assert found.search.memory == pytest.approx(1.0, abs=0.1)
+    assert found.accepted == ("warmup_x",)
+
+
 def test_u_of_what_is_slow_counts_it() -> None:
     size, away = 15.0 * SIGMA, []
     for seed in range(10):

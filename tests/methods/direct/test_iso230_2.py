@@ -10,8 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning, positioning_uncertainty
+from machine_tool_calibration.methods.iso230_2 import (
+    FIGURES,
+    Positioning,
+    _runs,
+    positioning,
+    positioning_uncertainty,
+)
 from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -55,10 +62,37 @@ def test_ends_at_which_the_runs_turned_do_not_count() -> None:
     turned = positioning(np.r_[ends, POSITION], np.r_[way, DIRECTION], np.r_[there, DEVIATION])
     assert len(turned.position) == 4 and np.isnan(turned.reversal[[0, -1]]).all()
     assert [getattr(turned, name) for name in FIGURES] == [getattr(inner, name) for name in FIGURES]
-    assert positioning_uncertainty(turned) == positioning_uncertainty(inner)
+    every = (np.r_[ends, POSITION], np.r_[way, DIRECTION], np.r_[there, DEVIATION])
+    assert positioning_uncertainty(turned, *runs_of(turned, *every)) == pytest.approx(
+        positioning_uncertainty(inner, *runs_of(inner, POSITION, DIRECTION, DEVIATION))
+    )
     # Where one in the middle lacks a direction, that is missing.
     middle = positioning(np.r_[POSITION, 0.05], np.r_[DIRECTION, 1], np.r_[DEVIATION, 0.0])
     assert np.isnan(middle.B) and np.isfinite(middle.E_up)
+
+
+def runs_of(figures: Positioning, position: Array, direction: Array, deviation: Array) -> tuple[Array, Array]:
+    up, down = (_runs(figures.position, position, deviation, direction * sign > 0) for sign in (1, -1))
+    return up, down
+
+
+@pytest.mark.parametrize("of_run", [0.0, 0.3e-6])
+def test_u_counts_that_the_largest_is_too_large_and_what_a_run_shares(of_run: float) -> None:
+    """Eleven positions, five runs each way, a reversal of 2 um: figures of the machine lie within U of those found."""
+    rng, noise, runs = np.random.default_rng(7), 0.3e-6, 5
+    place = np.tile(np.linspace(0.0, 0.5, 11), 2 * runs)
+    way = np.repeat(np.tile([1, -1], runs), 11)
+    s = np.hypot(noise, of_run)
+    true = {"B": 2e-6, "B_mean": 2e-6, "R_up": 4.0 * s, "R_down": 4.0 * s}
+    within = dict.fromkeys(true, 0.0)
+    for _ in range(100):
+        read = 1e-6 * way + noise * rng.normal(size=len(way)) + of_run * np.repeat(rng.normal(size=2 * runs), 11)
+        found = positioning(place, way, read)
+        u = positioning_uncertainty(found, *runs_of(found, place, way, read))
+        for name, value in true.items():
+            within[name] += 0.01 * (abs(getattr(found, name) - value) <= u[name])
+    assert within.pop("B") > 0.7  # the largest of eleven that are all the same
+    assert min(within.values()) > 0.85
 
 
 def test_single_runs_give_means_but_no_repeatability() -> None:
@@ -124,8 +158,10 @@ def test_uncertainty_of_the_figures_is_that_of_repeated_tests() -> None:
         for name in ("B", "B_mean", "E", "M", "A"):
             kept.setdefault(name, []).append(run[name])
             stated.setdefault(name, []).append(run[f"{name}_U"])
+    (exact,) = identify(plates.axis(0, noise=1e-12, backlash=2e-6, scale=2e-5)).document()["error_map"]["iso230_2"]
+    exact["A"] += 4.0 * 5e-7  # two standard deviations on either side
     for name, values in kept.items():
-        assert np.mean(stated[name]) == pytest.approx(2.0 * np.std(values), rel=0.35), name
+        assert np.mean(stated[name]) == pytest.approx(2.0 * rms(np.array(values) - exact[name]), rel=0.35), name
     # A mean over 11 positions and 5 runs each way: 2 sqrt(2 / 55) 0.5 um
     assert np.mean(stated["B_mean"]) == pytest.approx(2.0 * np.sqrt(2.0 / 55.0) * 5e-7, rel=0.1)
 

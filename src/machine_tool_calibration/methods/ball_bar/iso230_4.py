@@ -5,7 +5,7 @@ All are of radial deviations about the least-squares circle: of one way round fo
 one place and one way round are averaged over the runs before a range is taken, so that it does not grow with them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,8 @@ from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.description import BallBar
 
+# Draws of a range or a largest value.
+_DRAWS = 300
 # Change of the radius that is rounding, m: of a cause that does not act in a plane.
 _NOTHING = 1e-12
 
@@ -124,8 +126,19 @@ def _figures(paths: Mapping[str, _Path], both: Array, length_u: float | None) ->
 
 
 def _range(deviation: Array, u: Array) -> tuple[float, float]:
-    high, low = int(np.argmax(deviation)), int(np.argmin(deviation))
-    return float(deviation[high] - deviation[low]), 2.0 * float(np.hypot(u[high], u[low]))
+    return float(np.ptp(deviation)), _expanded(deviation, u, np.ptp)
+
+
+def _expanded(values: Array, u: Array, figure: Callable[[Array], float]) -> float:
+    """U (k = 2) of a range or a largest value, which noise makes larger.
+
+    Of values that are drawn about those found, with their standard uncertainties (k,), it is larger still: by what
+    noise that is larger by the root of two adds.
+    """
+    rng = np.random.default_rng(1)
+    drawn = np.array([figure(values + u * rng.standard_normal(len(u))) for _ in range(_DRAWS)])
+    too_large = (drawn.mean() - figure(values)) / (np.sqrt(2.0) - 1.0)
+    return 2.0 * float(np.hypot(drawn.std(), too_large))
 
 
 def _hysteresis(forth: _Path, back: _Path) -> tuple[float, float] | None:
@@ -135,9 +148,9 @@ def _hysteresis(forth: _Path, back: _Path) -> tuple[float, float] | None:
     if not len(at):
         return None
     there = np.isin(forth.angle, at)
-    apart = np.abs(forth.radial[there] - np.interp(at, back.angle, back.radial))
-    k = int(np.argmax(apart))
-    return float(apart[k]), 2.0 * float(np.hypot(forth.u[there][k], np.interp(at[k], back.angle, back.u)))
+    apart = forth.radial[there] - np.interp(at, back.angle, back.radial)
+    u = np.hypot(forth.u[there], np.interp(at, back.angle, back.u))
+    return float(np.abs(apart).max()), _expanded(apart, u, lambda values: float(np.abs(values).max()))
 
 
 def contributions(fit: Fit, terms: Sequence[Term], first: int) -> list[dict[str, Any]]:
