@@ -64,10 +64,10 @@ def positioning(position: Array, direction: Array, deviation: Array) -> Position
     A figure that takes the worst of all positions is given only where every position has what it needs, but for the
     ends at which runs turned that did not go beyond.
     """
-    target, index = np.unique(position, return_inverse=True)
-    m = len(target)
-    up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)
-    down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
+    target = np.unique(position)
+    up, down = (_runs(target, position, deviation, direction * sign > 0) for sign in (1, -1))
+    (up_mean, up_s), (down_mean, down_s) = _mean_and_s(up), _mean_and_s(down)
+    up_n, down_n = (np.isfinite(runs).sum(axis=0) for runs in (up, down))
     repeatability = _repeatability(up_mean, up_s, down_mean, down_s)
     counted = counted_positions(up_n, down_n)
     of_axis = _of_axis(*(values[counted] for values in (up_mean, up_s, down_mean, down_s)))
@@ -112,22 +112,6 @@ def _of_axis(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> di
 
 def _accuracy(mean: Array, s: Array) -> Array:
     return np.asarray(np.max(mean + 2 * s, axis=-1) - np.min(mean - 2 * s, axis=-1))
-
-
-def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> tuple[Array, Array, IntArray]:
-    """Mean, standard deviation (…, m) and number (m,) of the deviations (…, n) of one direction at each position."""
-    own, index = deviation[..., mine], index[mine]
-    draws = int(np.prod(own.shape[:-1]))
-    bins = (m * np.arange(draws)[:, None] + index).reshape(-1)
-
-    def total(values: Array) -> Array:
-        return np.asarray(np.bincount(bins, values.reshape(-1), minlength=draws * m), float).reshape(*own.shape[:-1], m)
-
-    count = np.bincount(index, minlength=m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = total(own) / np.where(count > 0, count, np.nan)
-        s = np.sqrt(total((own - mean[..., index]) ** 2) / np.where(count > 1, count - 1, np.nan))
-    return mean, s, count
 
 
 def positioning_uncertainty(figures: Positioning, runs_up: Array, runs_down: Array) -> dict[str, float]:
