@@ -148,15 +148,10 @@ class Marginal:
 
     def log_null_with(self, columns: IntArray, scale: Array) -> float:
         """What `log_null` is with columns of given scales folded in, without folding them in."""
-        log_prior, left = self.left_with(columns, scale)
-        return float(log_prior + self.gram.log_likelihood(left))
-
-    def left_with(self, columns: IntArray, scale: Array) -> tuple[float, float]:
-        """`log_prior` and `squares` with columns of given scales folded in, likewise."""
         lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
-        explained = float(np.sum(_below(lower, scale * self.data[columns]) ** 2))
-        left = max(self.squares - explained, NOTHING * self.gram.squares)
-        return self.log_prior - float(np.log(np.diag(lower)).sum()), left
+        explained = _below(lower, scale * self.data[columns])
+        left = max(self.squares - float(explained @ explained), NOTHING * self.gram.squares)
+        return self.log_prior - float(np.log(np.diag(lower)).sum()) + float(self.gram.log_likelihood(left))
 
     def with_columns(self, columns: IntArray, scale: Array) -> Marginal:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
