@@ -167,7 +167,12 @@ def test_the_verb_says_whether_two_measurements_agree(tmp_path: Path, monkeypatc
     assert (tmp_path / "both.png").stat().st_size > 0
     shown = CliRunner().invoke(command, [*folders[:1], *folders[:1]]).output
     assert "The maps agree within their joint uncertainty" in shown
-    assert "1 − 2 / µm" in shown
+    assert "1 − 2 / µm" in shown and "Not compared" not in shown
+    whole = line(1, 0.0)
+    x = whole.readings.columns["x"]
+    write_session(whole.with_readings(whole.readings.select(x < x.max())), tmp_path / "part")
+    shown = CliRunner().invoke(command, [folders[0], str(tmp_path / "part")]).output
+    assert "Not compared: 1 points that only one has, and 0 that only part has." in " ".join(shown.split())
     wrong = CliRunner().invoke(command, [*folders, "--model", "fre"])
     assert isinstance(wrong.exception, ModelError)
     assert "neither measurement has a model 'fre'" in str(wrong.exception)

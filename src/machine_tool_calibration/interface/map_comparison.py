@@ -68,6 +68,11 @@ class MapComparison(Answer, Compared):
             yield f"Taken out before, as the datums differ by it: {', '.join(moved)}."
         else:
             yield "Both maps have the same datum at these points: there is no common motion to take out."
+        if any(self.alone):
+            yield (
+                f"Not compared: {self.alone[0]} points that only {self.labels[0]} has, and {self.alone[1]} that only "
+                f"{self.labels[1]} has. Points that differ by more than 1 µm are two."
+            )
         yield _verdict(self)
 
     def plot(self) -> Figure:
@@ -83,6 +88,7 @@ class MapComparison(Answer, Compared):
             "p_value": self.p_value,
             "compared": self.count,
             "beyond_1": self.beyond,
+            "not_compared": self.alone,
             "motion": [asdict(m) for m in self.motion],
             **picked(self, "points", "first", "second", "difference", "normalised"),
             "first_u": self.u_first,

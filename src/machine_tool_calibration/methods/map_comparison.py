@@ -7,7 +7,7 @@ held against its own uncertainty, in which the fitted motion is contained.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,7 @@ class MapComparison:
     # of all differences together, with their correlations; None where there are too few draws to tell
     p_value: float | None
     labels: tuple[str, str]  # names of the maps
+    alone: tuple[int, ...] = (0, 0)  # points of each map that the other has not
 
     @property
     def difference(self) -> Array:
@@ -226,7 +227,8 @@ def compare_fits(
         own.append(map_draws(fitted, draws, seed + k, told)[:, pair] / np.sqrt(draws))
     points = first.error_map.points[pairs[0]]
     one, two = (found.error_map.error[pair] for found, pair in zip((first, second), pairs, strict=True))
-    return compare_maps(points, one, two, (own[0], own[1]), draws, labels)
+    found = compare_maps(points, one, two, (own[0], own[1]), draws, labels)
+    return replace(found, alone=tuple(len(own.points) - len(points) for own in maps))
 
 
 def states(points: Array, content: Mapping[str, Any]) -> Array:
