@@ -141,6 +141,9 @@ def test_passes_of_an_axis_that_slips_are_what_is_said_first() -> None:
     told = " ".join(verdict_words(found, {}, Advice(), brief=True))
     assert "passes over the axis differ among themselves by" in told
     assert "More runs make the uncertainty smaller" in next_step(found, Advice())
+    columns = {name: values for name, values in session.readings.columns.items() if name != "time"}
+    untimed = diagnose(session.with_readings(replace(session.readings, columns=columns)))
+    assert keys(next_step(untimed, Advice())) == ["next.runs_untimed"]
     still = diagnose(plates.axis(5, declared=5e-7, terms=("EXX",)))
     assert keys(next_step(still, Advice())) == ["next.nothing"]
 

@@ -163,7 +163,8 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         fit = diagnosis.fits[-1]
         left = rms(Pool(fit).residuals)
         if any(one.size > _LIMITS * left for one in fit.marginal.sizes):
-            return say("next.runs")
+            timed = all(model.observations.timed for model in fit.assembly.models)
+            return say("next.runs" if timed else "next.runs_untimed")
         if fits(fit.p_value) != "bad":
             return say("next.nothing")
         what = f"next.{_what_scatters(diagnosis)}"
