@@ -3,6 +3,7 @@
 Pictures of a rotary axis and of direct deviations: drawn from the document, also where values are null.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +109,9 @@ def test_figures_of_the_standard_are_written_on_the_picture() -> None:
     (run,) = identify(_session(method="direct", kind="iso230_2", repeats=5)).document()["error_map"]["iso230_2"]
     title = direct.draw_positioning(run).get_suptitle()
     for name in ("A", "E", "M", "R", "B"):
-        assert f"{name} {1e6 * run[name]:.2f}" in title
+        written = re.search(rf"\b{name} (\d+\.\d+) µm", title)
+        # As many digits as its U allows.
+        assert written and float(written[1]) == pytest.approx(1e6 * run[name], abs=0.2e6 * run[f"{name}_U"])
     single = {**run, "R": None, "A": None, "s_up": [None] * 11, "s_down": [None] * 11}
     assert "R " not in direct.draw_positioning(single).get_suptitle().replace("R↑", "").replace("R↓", "")
 
