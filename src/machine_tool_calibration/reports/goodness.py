@@ -21,8 +21,6 @@ from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.words import Said, say, together
 
-# Share of the scatter about the model that standard uncertainties have where they contain what makes it.
-_CONTAINED = 0.8
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
 
@@ -44,7 +42,8 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
         key = {"bad": "_bad", "nearly": "_nearly"}.get(how, "")
         both, ratio = _both(own, scatter["declared"]), rounded(own / scatter["declared"])
         agree = say(f"fit.one_direction{key}", both=both, ratio=ratio)
-        contained = scatter["factor"] * scatter["declared"] > _CONTAINED * scatter["found"]
+        half = float(np.sqrt(max(scatter["found"] ** 2 - own**2, 0.0)))
+        contained = 2.0 * np.nanmedian(np.array(content["position_error_u"], dtype=float)) > half
         reversal = say("fit.reversal" if contained else "fit.reversal_beside")
         return together((agree, reversal) if lacks_reversal(content) else (agree,))
     if used:

@@ -19,10 +19,12 @@ from machine_tool_calibration.methods.iso230_2 import (
     positioning,
     positioning_uncertainty,
 )
+from machine_tool_calibration.reports.goodness import scatter_words
 from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.session.session import Readings, Session
 
 from ... import plates
+from ...told import keys
 
 # Two positions, three runs up and three down, um.
 POSITION = np.repeat([0.0, 0.1], 6)
@@ -275,3 +277,12 @@ def test_part_that_lies_milliradians_askew(direct: SimpleNamespace) -> None:
     session = direct.written(np.tile(place, (2, 1)), g, reading, datum="rigid")
     (scale,) = (p for p in identify(session, effects=["scale"]).parameters if p.name == "scale.s")
     assert scale.value == pytest.approx(1e-5, abs=5e-8)
+
+
+@pytest.mark.parametrize(("u", "said"), [(2.5e-6, "fit.reversal"), (0.5e-6, "fit.reversal_beside")])
+def test_a_map_is_said_to_contain_the_reversal_only_where_it_does(u: float, said: str) -> None:
+    """Each direction is 4 um from the map's value for both."""
+    scatter = {"found": 4e-6, "declared": 2e-7, "one_direction": 2e-7, "one_direction_p_value": 0.5}
+    content = {"scatter": scatter | {"uncertainties_from": "scatter"}, "position_error_u": [[u, None, None]] * 11}
+    words = scatter_words(content, 0.0)
+    assert words is not None and keys(words)[-1] == said
