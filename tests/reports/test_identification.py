@@ -147,14 +147,15 @@ def test_a_run_is_judged_by_its_readings_of_one_direction(own: float | None, wor
     scatter = {"declared": 3e-7, "found": 2e-6, "uncertainties_from": "scatter", "factor": 6.0}
     if own is not None:
         scatter |= {"one_direction": 3.5e-7, "one_direction_p_value": own}
-    content = {"scatter": scatter}
+    of_map = {"position_error_u": [[1e-6, None, None]]}
+    content = {"scatter": scatter, **of_map}
     assert only_if_right(1e-12, content) is (own is None)
     assert scatter_p_value(1e-12, content) == (own or 1e-12)
     said = str(scatter_words(content, 1e-12))
     assert words in said and ("reversal error" in said) is (own is not None)
-    assert "reversal" not in str(scatter_words({"scatter": scatter | {"found": 3.6e-7}}, 1e-12))
+    assert "reversal" not in str(scatter_words(of_map | {"scatter": scatter | {"found": 3.6e-7}}, 1e-12))
     # A model that leaves less than one direction scatters, as it has what changed from run to run, is judged by that.
-    assert "scatter 0.250 µm" in str(scatter_words({"scatter": scatter | {"found": 2.5e-7}}, 0.5))
+    assert "scatter 0.250 µm" in str(scatter_words(of_map | {"scatter": scatter | {"found": 2.5e-7}}, 0.5))
 
 
 def test_what_does_not_reproduce_has_a_bound_only_where_the_model_fits() -> None:
