@@ -220,9 +220,9 @@ def test_sizes_that_go_together_stand_out_together(size: tuple[float, float], co
     ]
     covariance = np.eye(3)
     covariance[0, 1] = covariance[1, 0] = correlation
-    marginal = SimpleNamespace(by_memory=100.0 * np.eye(3), scatter=2.0)
-    covariance += marginal.scatter**2 * marginal.by_memory
-    published = SimpleNamespace(theta=np.array([*size, 50.0]), covariance=covariance, determined=np.ones(3, dtype=bool))
+    marginal = SimpleNamespace(independent=covariance / 4.0, scatter=2.0)
+    widened = covariance + 400.0 * np.eye(3)
+    published = SimpleNamespace(theta=np.array([*size, 50.0]), covariance=widened, determined=np.ones(3, dtype=bool))
     fit = SimpleNamespace(published=published, marginal=marginal, assembly=SimpleNamespace(parameters=parameters))
     assert _sized(cast(JointFit, fit), "e") is sized
 

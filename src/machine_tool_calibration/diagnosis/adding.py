@@ -167,12 +167,10 @@ def _sized(fit: JointFit, name: str) -> bool:
     Where they do not, its coefficients describe something else, in one place or at one moment. That the noise may have
     a memory is weighed in the search: what effects leave that are not added yet would seem to be such.
     """
-    published, every = fit.published, enumerate(fit.assembly.parameters)
+    published, marginal, every = fit.published, fit.marginal, enumerate(fit.assembly.parameters)
     own = [k for k, p in every if p.kind is Kind.EFFECT and p.owner == name and p.unit != "s"]
     own = [k for k in own if published.determined[k]]
-    size, covariance = published.theta[own], published.covariance[np.ix_(own, own)]
-    if fit.marginal.by_memory is not None:
-        covariance = covariance - fit.marginal.scatter**2 * fit.marginal.by_memory[np.ix_(own, own)]
+    size, covariance = published.theta[own], marginal.scatter**2 * marginal.independent[np.ix_(own, own)]
     squares = size @ np.linalg.pinv(covariance, hermitian=True) @ size
     return not own or bool(special.chdtrc(len(own), squares) <= special.chdtrc(1, priors.STANDS_OUT**2))
 

@@ -152,7 +152,8 @@ def positioning_uncertainty(figures: Positioning, runs_up: Array, runs_down: Arr
         own = np.sqrt(max(s**2 - shared**2, 0.0)) * rng.standard_normal((_DRAWS, *read.shape))
         all_of_run = shared * rng.standard_normal((_DRAWS, len(read), 1))
         drawn += _mean_and_s(centre + read + own + all_of_run)
-        true += [centre + _mean_and_s(read[None])[0][0], s + _mean_and_s(read[None])[1][0]]
+        nothing, no_scatter = _mean_and_s(read)
+        true += [centre + nothing, s + no_scatter]
     found, expected = _of_axis(*drawn), _of_axis(*true)
     out = {name: 2.0 * rms(found[name] - expected[name]) for name in FIGURES}
     return {name: value for name, value in out.items() if np.isfinite(value) and np.isfinite(getattr(figures, name))}
@@ -160,7 +161,7 @@ def positioning_uncertainty(figures: Positioning, runs_up: Array, runs_down: Arr
 
 def _shared_by_runs(residuals: Array, s: float) -> float:
     """Standard deviation that all readings of a run have in common, m, from (k, m) deviations from the means."""
-    mean, count = _mean_and_s(residuals.T[None])[0][0], np.isfinite(residuals).sum(axis=1)
+    mean, count = _mean_and_s(residuals.T)[0], np.isfinite(residuals).sum(axis=1)
     known = mean[count > 0]
     if len(known) < 2:
         return 0.0

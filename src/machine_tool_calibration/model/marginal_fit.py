@@ -104,10 +104,14 @@ class MarginalFit:
     by_memory: Array | None = None  # what of the covariance is by the noise's memory
 
     @property
+    def independent(self) -> Array:
+        """The covariance as it would be by independent noise, over the square of `scatter`."""
+        return self.solution.covariance if self.by_memory is None else self.solution.covariance - self.by_memory
+
+    @property
     def memory_factor(self) -> float:
         """Standard uncertainty of what the noise's memory widens most, over that by independent noise."""
-        whole = np.diag(self.solution.covariance)
-        own = whole if self.by_memory is None else whole - np.diag(self.by_memory)
+        whole, own = np.diag(self.solution.covariance), np.diag(self.independent)
         return float(np.sqrt(np.max(whole[own > 0.0] / own[own > 0.0], initial=1.0)))
 
     def coefficients(self, index: int) -> IntArray:

@@ -15,7 +15,7 @@ from machine_tool_calibration.estimation.problem import Problem
 from machine_tool_calibration.estimation.reduction import columns_without_points
 from machine_tool_calibration.estimation.serial_correlation import beyond_independent, memory_of
 from machine_tool_calibration.estimation.solve import Solution
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, neighbours_of
 
 # Share of the degrees of freedom that is left of noise, however slow it is.
 _LEAST_LEFT = 0.2
@@ -49,13 +49,11 @@ def added_by_memory(
     parts = zip(problem.parts, solution.local, strict=True)
     each = [columns_without_points(part, theta, local) for part, local in parts]
     left = [columns[-1] - step[place] @ columns[:-1] for place, columns in each]
-    first = np.cumsum([0, *(len(own) for own in observed)])
-    pairs = [np.array(own.neighbours) for own in observed]
-    before, after = np.concatenate([own + at for own, at in zip(pairs, first, strict=False)], axis=1)
+    before, after = neighbours_of(observed)
     memory = memory_of(np.concatenate(left), before, after, solution.degrees_of_freedom)
     beyond = np.zeros_like(covariance)
-    for (place, columns), own in zip(each, pairs, strict=True):
-        beyond[np.ix_(place, place)] += beyond_independent(memory, columns[:-1], *own)
+    for (place, columns), own in zip(each, observed, strict=True):
+        beyond[np.ix_(place, place)] += beyond_independent(memory, columns[:-1], *own.neighbours)
     if not beyond.any():
         return beyond
     # Unknowns in their own uncertainties: rounding in that of a length would be large beside that of an angle.

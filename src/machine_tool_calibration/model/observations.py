@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ class Observations:
         """(n,) time of each reading, s; where none was recorded its number, as if they came at equal intervals."""
         return self.readings.columns["time"] if self.timed else self.readings.row.astype(float)
 
-    @property
+    @cached_property
     def neighbours(self) -> tuple[IntArray, IntArray]:
         """(k,) readings that came right before another of their setup, and (k,) these."""
         # An x and a y that are read by turns come from an instrument each.
@@ -99,6 +100,12 @@ class Observations:
     def sense(self, field: Array) -> Array:
         """(k, n) change of the readings by a displacement (k, n, 3) of the functional point per unit of k unknowns."""
         return np.asarray(np.einsum("knj,nj->kn", field, self.direction))
+
+
+def neighbours_of(observed: Sequence[Observations]) -> IntArray:
+    """(2, k) the `neighbours` of sessions whose readings are below each other."""
+    first = np.cumsum([0, *map(len, observed)])
+    return np.concatenate([np.array(o.neighbours) + at for o, at in zip(observed, first, strict=False)], axis=1)
 
 
 def together(observed: Sequence[Observations]) -> Observations:

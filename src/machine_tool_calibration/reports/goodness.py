@@ -42,10 +42,11 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
         key = {"bad": "_bad", "nearly": "_nearly"}.get(how, "")
         both, ratio = _both(own, scatter["declared"]), rounded(own / scatter["declared"])
         agree = say(f"fit.one_direction{key}", both=both, ratio=ratio)
-        half = float(np.sqrt(max(scatter["found"] ** 2 - own**2, 0.0)))
+        if not lacks_reversal(content):
+            return together((agree,))
+        half = np.sqrt(scatter["found"] ** 2 - own**2)
         contained = 2.0 * np.nanmedian(np.array(content["position_error_u"], dtype=float)) > half
-        reversal = say("fit.reversal" if contained else "fit.reversal_beside")
-        return together((agree, reversal) if lacks_reversal(content) else (agree,))
+        return together((agree, say("fit.reversal" if contained else "fit.reversal_beside")))
     if used:
         return say("fit.scatter_used", ratio=ratio, both=both)
     if how == "bad":

@@ -14,7 +14,7 @@ from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.estimation.serial_correlation import Memory, memory_of
 from machine_tool_calibration.model.fit import JointFit, changed, screen_columns
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, neighbours_of
 from machine_tool_calibration.model.reproducibility import reproducibility
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
@@ -59,15 +59,9 @@ class Pool:
         fit = changed(self.fit.without_random, [-change[piece] for piece in self.pieces])
         return np.concatenate([own.residuals for own in fit.fits]) - change
 
-    @cached_property
-    def _neighbours(self) -> IntArray:
-        """(2, k) readings that came right before another of their setup, and these."""
-        pairs = zip(self.observations, self.pieces, strict=True)
-        return np.concatenate([np.array(o.neighbours) + piece.start for o, piece in pairs], axis=1)
-
     def memory(self, residuals: Array) -> Memory:
         """What residuals (n,), m, say of the noise's memory."""
-        before, after = self._neighbours
+        before, after = neighbours_of(self.observations)
         return memory_of(residuals / self.sigma, before, after, self.fit.without_random.solution.degrees_of_freedom)
 
     @cached_property
