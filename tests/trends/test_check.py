@@ -17,6 +17,7 @@ from machine_tool_calibration.estimation.priors import ALL_REPRODUCES
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.reports.trends import check_remarks
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.check import LEVEL, SESSIONS, between_sessions, check
@@ -163,6 +164,16 @@ def test_values_that_one_of_both_lacks_are_left_out() -> None:
     (found,) = check(first, second).changes
     assert found.moved and found.at == (AT[2],) and found.change == pytest.approx(4e-6)
     assert found.u == pytest.approx(np.sqrt(2) * 1e-7)
+
+
+def test_how_many_places_of_the_earlier_map_are_compared_is_said() -> None:
+    points = np.array([[x, 0.0, 0.0] for x in AT])
+    value = np.zeros(3 * len(points))
+    earlier = replace(statement(value, 1e-6, "earlier", "position_error"), points=points, parts={})
+    kept = statement(value[6:], 1e-6, "now", "position_error")
+    found = check(earlier, replace(kept, points=points[2:], parts={}))
+    assert found.places == (len(AT) - 2, len(AT))
+    assert f"{len(AT) - 2} of {len(AT)} of the earlier map" in " ".join(check_remarks(found))
 
 
 def test_what_was_too_uncertain_and_what_only_one_has_is_said() -> None:

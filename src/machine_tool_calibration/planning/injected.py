@@ -27,6 +27,7 @@ PLANS = (
     "probing_pins",
     "grid_plate",
     "iso230_2",
+    "ball_bar",
 )
 """Simulated plans in which effects are shown, those of most interest first."""
 

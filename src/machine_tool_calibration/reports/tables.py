@@ -127,7 +127,7 @@ def show_table(screen: Console, table: TextTable) -> None:
         screen.print(Text(table.title, style="bold"))
     table = table.filled()
     numeric = table.numeric()
-    for columns in _parts(table, screen.width):
+    for columns in _parts(table, screen.width) if table.rows else []:
         shown = Table(box=None, show_header=any(table.columns), header_style="bold", pad_edge=False)
         for k, width in _widths(table, columns, screen.width).items():
             right = k in numeric

@@ -78,6 +78,8 @@ class Check:
     changes: tuple[Change, ...]  # what both have, the most significant first
     not_compared: tuple[str, ...]  # what only one of both has
     correlated: bool  # whether the correlations of both are known
+    # places at which the position errors are compared, and those of the earlier map
+    places: tuple[int, int]
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
 
     @property
@@ -123,6 +125,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
         changes=tuple(replace(changes[k], adjusted=float(p)) for k, p in zip(order, adjusted, strict=True)),
         not_compared=tuple(name for name in {**earlier.parts, **now.parts} if name not in told),
         correlated=correlated,
+        places=(len(common_points(earlier.points, now.points)[0]), len(earlier.points)),
         sessions=len(history) if between else 0,
     )
 

@@ -5,11 +5,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from machine_tool_calibration.arrays import groups, occurrence
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
 from machine_tool_calibration.words import say, together
 
+_FEWEST_COPIES = 4  # equal readings: fewer may be alike by chance
 _FEWEST_MOVES = 8  # moves beside directions of approach: fewer may be against them by chance
 _HARDLY_DIFFER = 0.1  # share of a reading's standard uncertainty that readings differ by: of eight by chance below 1e-7
 _BEYOND_TRAVEL = 0.1  # share of the travel by which a probed part may reach beyond it
@@ -22,12 +24,12 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """What is suspicious in sessions, in words.
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
-    another unit. Places off the machine's travel. Fewer or more repeats than stated. Directions of approach against
-    the moves. And what the method finds (`MethodSpec.suspicious`).
+    another unit. Rows written twice. Places off the machine's travel. Fewer or more repeats than stated. Directions of
+    approach against the moves. And what the method finds (`MethodSpec.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _beside, _repeated, _approached, lambda one: spec_of(one).suspicious(one))
+    checks = (_still, _rounded, _copied, _beside, _repeated, _approached, lambda one: spec_of(one).suspicious(one))
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -52,6 +54,15 @@ def _rounded(session: Session) -> Iterator[str]:
         if step > _COARSE * session.sigma and len(readings) >= ENOUGH_TO_DIFFER and np.ptp(readings) and whole.all():
             yield say("suspicion.rounded", step=f"{step:g}", sigma=f"{session.sigma:.2g}")
             return
+
+
+def _copied(session: Session) -> Iterator[str]:
+    """Rows of one setup, repeat, place and direction of which each has the same reading as the one before it."""
+    readings = session.readings
+    state = groups(readings.setup, readings.repeat, *readings.columns.values(), *readings.labels.values())
+    again, equal = occurrence(state) > 0, occurrence(groups(state, readings.displacement)) > 0
+    if equal.sum() >= _FEWEST_COPIES and (equal == again).all() and np.ptp(readings.displacement):
+        yield say("suspicion.copied", n=int(equal.sum()), row=int(readings.row[equal][0]))
 
 
 def _beside(session: Session) -> Iterator[str]:
