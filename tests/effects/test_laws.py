@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
 from machine_tool_calibration.effects.vibration import _frequencies
@@ -139,14 +140,33 @@ def test_places_that_an_axis_came_back_to_are_no_places_of_their_own() -> None:
 @pytest.mark.parametrize("span", [1.0, 4.0])
 def test_of_a_long_axis_long_waves_without_a_gap_and_the_usual_leads(span: float) -> None:
     x = np.linspace(0.0, span, round(500 * span) + 1)
-    found = frequencies(points(x))
-    assert len(found) <= 80 and found[0] == pytest.approx(1.5 / span)
+    session = simulate(SimulationSpec(plan=points(x), seed=1)).session
+    every, found = PitchPeriodic("x")._frequencies(build_model(session)[0].observations)
+    assert len(found) <= 80 and found[0] == every[0] == pytest.approx(1.5 / span)
+    assert np.diff(every).max() < 0.4001 / span and every[-1] > 249.0
     step = np.diff(found)
     long = found[: np.flatnonzero(step > 0.4001 / span)[0] + 1]
     np.testing.assert_allclose(np.diff(long), 0.4 / span)
     beyond = found[len(long) :]
     usual = [1e3 / (lead * share) for lead in (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 32, 40) for share in (1.0, 0.5)]
     assert set(np.round(beyond, 6)) == {round(f, 6) for f in usual if long[-1] + 0.2 / span < f <= 250.0}
+
+
+@pytest.mark.parametrize("lead", [5.08e-3, 7.2e-3, 4.6e-3])
+def test_a_wave_of_an_unusual_lead_is_among_those_that_are_tried(lead: float) -> None:
+    """A screw in inches, a motor's steps: of so many waves that not all can be tried, the readings show which."""
+    x = np.linspace(0.0, 1.0, 501)
+    session = simulate(SimulationSpec(plan=points(x), seed=1)).session
+    wave = 5.0 * session.sigma * np.sin(2.0 * np.pi * session.readings.column("x") / lead + 1.0)
+    readings = replace(session.readings, displacement=session.readings.displacement + wave)
+    observations, effect = build_model(session.with_readings(readings))[0].observations, PitchPeriodic("x")
+    tried = 1.0 / np.array(effect.shape_grid(observations)).ravel()
+    assert np.abs(tried - 1.0 / lead).min() < 0.2  # of one wave in the range: half a step of the others
+    every, usual = effect._frequencies(observations)
+    # The prior: half for the usual ones, half for all.
+    assert effect.equally(observations, (lead,)) == 2 * len(every) > effect.equally(observations, (5e-3,))
+    assert effect.equally(observations, (5e-3,)) == 2 * len(usual)
+    assert "pitch_periodic_x" in diagnose(session.with_readings(readings)).accepted
 
 
 def test_a_vibration_is_looked_for_up_to_half_the_rate_of_the_fastest_run() -> None:

@@ -112,8 +112,8 @@ class Effect(ABC):
         """Values of the nonlinear coefficients from which a search starts; one empty tuple without any."""
         return [()]
 
-    def equally(self, observations: Observations) -> int:
-        """How many values of the nonlinear coefficients are as probable, where the grid leaves some out; 0: those."""
+    def equally(self, observations: Observations, shape: tuple[float, ...]) -> int:
+        """How many values of the nonlinear coefficients are as probable as these; 0: those of the grid alone."""
         return 0
 
     @abstractmethod

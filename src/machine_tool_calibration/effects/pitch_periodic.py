@@ -2,15 +2,16 @@
 """Periodic error of a ball screw or scale."""
 
 import numpy as np
+from scipy.signal import find_peaks
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
 _SHORTEST_LEAD = 2e-3  # m
-_MOST_LEADS = 80  # that are tried
+_MOST_LEADS = 80  # that are tried whatever the readings say
 # Share of the shortest wave, and of the range, within which positions are one place: no wave differs there.
 _ONE_PLACE, _OF_RANGE = 0.05, 0.01
 # Leads of ball screws, mm, and half of them: tried one by one where so many short waves fit into the range that they
@@ -18,6 +19,10 @@ _ONE_PLACE, _OF_RANGE = 0.05, 0.01
 _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
 # Waves in the range, at least: fewer are a curve, whose cause need not be a screw.
 _WAVES, _WAVES_OF_MACHINE = 1.0, 1.5
+# Step from wave to wave over one in the range; of others (racks, inches, motor steps) those that the readings show
+# most, found by a spectrum so much finer, of places so many of which are a shortest wave, without such a polynomial.
+_STEP, _FINER, _PLACES, _DEGREE = 0.4, 4, 16, 5
+_PEAKS = 3
 
 
 class PitchPeriodic(AxisEffect):
@@ -40,31 +45,70 @@ class PitchPeriodic(AxisEffect):
 
         On evenly spaced positions every lead shorter than two steps looks like a longer one: only those are searched.
         """
+        every, usual = self._frequencies(observations)
+        if len(usual) < len(every) and spec_of(observations.session).reads_machine:
+            usual = np.union1d(usual, self._strongest(observations, every, usual))
+        return [(float(1.0 / f),) for f in usual]
+
+    def equally(self, observations: Observations, shape: tuple[float, ...]) -> int:
+        """Half the probability is that of the usual leads, the other half that of all."""
+        every, usual = self._frequencies(observations)
+        among = usual if len(usual) and _near(1.0 / shape[0], usual, every) else every
+        return 0 if len(usual) == len(every) else 2 * len(among)
+
+    def _frequencies(self, observations: Observations) -> tuple[Array, Array]:
+        """All that the positions resolve, and those that are tried whatever the readings say, waves per metre."""
         position = _places(observations.readings.column(self.axis))
         if len(position) < 4:
-            return []
+            return np.zeros(0), np.zeros(0)
         span = float(np.ptp(position))
         steps = np.diff(position)
         even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
         shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST_LEAD, float(steps.mean()))
         direct = spec_of(observations.session).reads_machine
         fewest = _WAVES_OF_MACHINE if direct else _WAVES
-        frequency = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
-        if len(frequency) > _MOST_LEADS and direct:
-            # Long waves without a gap, and the usual leads beyond.
-            known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
-            frequency = frequency[: _MOST_LEADS - len(known)]
-            beyond = known[(known > frequency[-1] + 0.2 / span) & (known <= 1.0 / shortest)]
-            frequency = np.concatenate([frequency, beyond])
-        elif len(frequency) > _MOST_LEADS:
-            frequency = np.linspace(frequency[0], frequency[-1], _MOST_LEADS)
-        return [(float(1.0 / f),) for f in frequency]
+        every = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), _STEP / span)
+        if len(every) <= _MOST_LEADS:
+            return every, every
+        if not direct:
+            return every, np.linspace(every[0], every[-1], _MOST_LEADS)
+        # Long waves without a gap, and the usual leads beyond.
+        known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
+        long = every[: _MOST_LEADS - len(known)]
+        return every, np.concatenate([long, known[(known > long[-1] + 0.2 / span) & (known <= 1.0 / shortest)]])
+
+    def _strongest(self, observations: Observations, every: Array, usual: Array) -> Array:
+        """Those of which direct readings show most, all approaches in step, and what lies beside each: none near a
+        usual one.
+        """
+        readings, along = observations.readings, self.along(observations)
+        x, seen = readings.column(self.axis), readings.displacement * along
+        sense = readings.columns.get(f"dir_{self.axis}", np.zeros(len(x)))
+        group = groups(observations.run, sense, along)
+        for mine in (group == g for g in range(int(group.max()) + 1)):
+            slow = np.polynomial.Polynomial.fit(x[mine], seen[mine], min(_DEGREE, int(mine.sum()) // 4))
+            seen[mine] -= slow(x[mine])
+        width = 1.0 / (_PLACES * every[-1])
+        summed = np.bincount(np.round((x - x.min()) / width).astype(np.int64), seen)
+        step = (every[1] - every[0]) / _FINER
+        count = round(1.0 / (step * width))
+        frequency = np.fft.rfftfreq(count, width)
+        power = np.abs(np.fft.rfft(summed, n=count)) ** 2 * ((frequency >= every[0]) & (frequency <= every[-1]))
+        peaks = find_peaks(power)[0]
+        ordered = frequency[peaks[np.argsort(-power[peaks], kind="stable")]]
+        best = np.array([f for f in ordered[: len(usual) + _PEAKS] if not _near(f, usual, every)][:_PEAKS])
+        return np.asarray((best[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of the position, along the axis."""
         angle = 2.0 * np.pi * observations.readings.column(self.axis) / shape[0]
         along = self.along(observations)
         return np.asarray([np.sin(angle) * along, np.cos(angle) * along])
+
+
+def _near(frequency: float, usual: Array, every: Array) -> bool:
+    """Whether a frequency is one of the usual ones within half a step."""
+    return bool(np.abs(usual - frequency).min() < 0.5 * (every[1] - every[0]))
 
 
 def _places(position: Array) -> Array:

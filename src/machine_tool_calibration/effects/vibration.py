@@ -53,7 +53,7 @@ class Vibration(AxisEffect):
         each = [np.where(run == k, wave(angle) * along, 0.0) for k in range(run.max() + 1) for wave in (np.sin, np.cos)]
         return np.array(each)
 
-    def equally(self, observations: Observations) -> int:
+    def equally(self, observations: Observations, shape: tuple[float, ...]) -> int:
         """All frequencies, of which the likeliest are tried."""
         return len(_frequencies(observations))
 

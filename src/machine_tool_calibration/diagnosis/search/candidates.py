@@ -33,6 +33,7 @@ class Shaped:
     coefficients: tuple[Coefficient, ...] = ()  # the linear ones; empty for a structure of any size
     law: Array | None = None  # (j, n) by what it may differ from its law, m per standard deviation
     law_unit: float = 1.0  # one over the scale of its coefficients for which that is so
+    equally: int = 0  # sets of nonlinear coefficients that are as probable, where not all of them are tried
 
     @property
     def every(self) -> Array:
@@ -52,8 +53,8 @@ class Candidate:
     shapes: tuple[Shaped, ...]  # one for each set of nonlinear coefficients that is tried
     effect: Effect | None = None  # the effect; None for a structure without a cause
     nonlinear: tuple[Shape, ...] = ()  # its nonlinear coefficients
-    # number of sets of nonlinear coefficients that are equally probable; more than are tried where the others were
-    # ruled out beforehand
+    # number of sets of nonlinear coefficients over which the prior is spread at least: more than are tried where the
+    # others were ruled out beforehand
     equally: int = 0
     # of a structure, on what the residuals depend and how; a wave or a step has its place put in
     dependence: tuple[str, Said] | None = None
@@ -84,10 +85,14 @@ class Candidate:
         effect = self.effect
         return effect is not None and any(name.startswith("dir_") for name in (*effect.needs, *effect.covariates))
 
+    def among(self, shaped: Shaped) -> int:
+        """Sets of nonlinear coefficients over which the prior is spread, where each is as probable as this one."""
+        return shaped.equally or max(self.equally, len(self.shapes))
+
     @property
     def count(self) -> int:
-        """Sets of nonlinear coefficients over which the prior is spread."""
-        return max(self.equally, len(self.shapes))
+        """The same for the most probable set."""
+        return min(map(self.among, self.shapes))
 
 
 def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candidate], dict[str, str]]:
@@ -107,8 +112,7 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
         shaped = [shaped_at(pool, effect, shape) for shape in _grid(effect, acting)]
         showing = tuple(s for s in shaped if _acts(pool, s))
         if showing:
-            equally = max(map(effect.equally, acting))
-            found.append(Candidate(effect.id, showing, effect, effect.shapes_for(acting[0]), equally))
+            found.append(Candidate(effect.id, showing, effect, effect.shapes_for(acting[0])))
         else:
             excluded[effect.id] = "no reading depends on it" if acting else str(reasons[0])
     return found, excluded
@@ -181,13 +185,14 @@ def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:
     named = [effect.coefficients_for(pool.observations[k], shape) for k in acting]
     if not acting:
         return Shaped(shape, np.zeros((0, len(pool))))
+    equally = max(effect.equally(pool.observations[k], shape) for k in acting)
     if effect.setup_level or len({len(c) for c in columns}) > 1:
         of_each = [pool.only(own, pool.pieces[k]) for k, own in zip(acting, columns, strict=True)]
-        return Shaped(shape, np.concatenate(of_each), tuple(c for own in named for c in own))
+        return Shaped(shape, np.concatenate(of_each), tuple(c for own in named for c in own), equally=equally)
     together = np.zeros((len(columns[0]), len(pool)))
     for k, own in zip(acting, columns, strict=True):
         together[:, pool.pieces[k]] = own
-    return Shaped(shape, together, tuple(named[0]))
+    return Shaped(shape, together, tuple(named[0]), equally=equally)
 
 
 def _acts(pool: Pool, shaped: Shaped) -> bool:

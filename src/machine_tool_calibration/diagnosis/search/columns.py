@@ -75,7 +75,7 @@ def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: S
                     np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1]
                     > priors.ABSORBED
                 ):
-                    share = -float(np.log(candidate.count * (len(leading) + 1)))
+                    share = -float(np.log(candidate.among(shaped) * (len(leading) + 1)))
                     blocks.append(Block.of(c, place, own, squares, share))
             first = past
     blocks = _without_repeated(blocks, gram.inner, len(candidates))
