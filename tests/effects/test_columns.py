@@ -135,6 +135,9 @@ def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float]
     known: dict[str, float] = {}
     if "fixed_point" in more:
         known = {"s" if name.startswith("screw_growth") else "k": size, "q": size * more["fixed_point"]}
+        position = observed(plan).readings.column(name[-1])
+        if not np.ptp(position):
+            known = {"s": size * (position[0] - more["fixed_point"])}
     elif "phase" in more:
         known = {"s": size * np.cos(more["phase"]), "c": size * np.sin(more["phase"])}
     elif "weights" in more:

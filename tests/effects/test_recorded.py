@@ -72,7 +72,7 @@ def test_an_axis_that_stands_has_no_scale() -> None:
     session = axis(grown(SPINDLE))
     at_rest = replace(session.readings, columns=session.readings.columns | {"x": np.zeros(len(TIME))})
     result = identify(session.with_readings(at_rest), effects=["follows_spindle_x"])
-    assert [p.name for p in result.parameters if p.name.startswith("follows")] == ["follows_spindle_x.q"]
+    assert [p.name for p in result.parameters if p.name.startswith("follows")] == ["follows_spindle_x.s"]
 
 
 def test_every_column_that_no_other_effect_knows_has_its_own() -> None:

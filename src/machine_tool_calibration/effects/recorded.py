@@ -3,15 +3,20 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE, ThermalExpansion
+from machine_tool_calibration.effects.thermal_expansion import (
+    REFERENCE_TEMPERATURE,
+    ThermalExpansion,
+    stands_still,
+)
 from machine_tool_calibration.effects.thermal_lag import ThermalLag
 from machine_tool_calibration.effects.warmup import LARGEST_GROWTH
-from machine_tool_calibration.model.observations import SAME_POSITION, Observations
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.words import say
 
@@ -59,18 +64,18 @@ class Follows(ThermalExpansion):
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """A shift, and a scale where the axis moves; as large as a frame's growth over what was recorded."""
         over = LARGEST_GROWTH / max(float(np.ptp(observations.readings.column(self.column))), 1e-12)
-        extent = float(np.ptp(observations.readings.column(self.axis)))
         per_unit = "/K" if self.column.startswith(_TEMPERATURE) else ""
         meaning = say("coefficient.follows", column=self.column)
         shift = Coefficient("q", f"m{per_unit}", -over, over, meaning)
-        if extent < SAME_POSITION:
-            return (shift,)
+        if stands_still(observations, self.axis):
+            return (replace(shift, name="s"),)
+        extent = float(np.ptp(observations.readings.column(self.axis)))
         scale = Coefficient("k", f"1{per_unit}", -over / extent, over / extent, say("coefficient.follows_scale"))
         return (shift, scale)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Those of the thermal expansion, the shift first; without the scale where the axis does not move."""
-        return super().columns(observations, shape)[::-1][: len(self.coefficients_for(observations, shape))]
+        """Those of the thermal expansion, the shift first."""
+        return super().columns(observations, shape)[::-1]
 
 
 class FollowsLate(ThermalLag, Follows):

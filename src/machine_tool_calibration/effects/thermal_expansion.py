@@ -5,11 +5,13 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import say
 
 # ISO 1: the temperature at which lengths are stated, degrees Celsius.
 REFERENCE_TEMPERATURE = 20.0
+# As large as the expansion of a metre.
+_SHIFT = Coefficient("s", "m/K", -2e-4, 2e-4, say("coefficient.expansion_shift"))
 
 
 class ThermalExpansion(AxisEffect):
@@ -19,7 +21,7 @@ class ThermalExpansion(AxisEffect):
     unknowns would be nonlinear, and p0 is no number where nothing grows; so what is fitted and published is k and
     q = k p0, a shift of the whole axis with the temperature. Fixed at the axis's zero, q is zero. Where the
     temperature stayed as it was, or the method's own unknowns hold every shift of the axis, q is not determined, and k
-    stands alone.
+    stands alone. Where the axis stands still nobody can tell k from q: what is fitted there is the shift s per kelvin.
     """
 
     id = "thermal_expansion_{axis}"
@@ -37,8 +39,18 @@ class ThermalExpansion(AxisEffect):
         """(n,) temperature of the structure over the reference, K: that of the axis's sensor."""
         return observations.readings.column(f"temperature_{self.axis}") - REFERENCE_TEMPERATURE
 
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
+        """Those of an axis that moves, or the shift of one that stands still."""
+        return (_SHIFT,) if stands_still(observations, self.axis) else self.coefficients
+
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Position times excess temperature, and minus the excess temperature, along the axis."""
-        excess = self.excess(observations, shape)
-        along = self.along(observations)
-        return np.asarray([excess * observations.readings.column(self.axis) * along, -excess * along])
+        """Position times excess temperature, and minus the excess temperature, along the axis; or that of the shift."""
+        excess = self.excess(observations, shape) * self.along(observations)
+        if stands_still(observations, self.axis):
+            return np.asarray(excess[None])
+        return np.asarray([excess * observations.readings.column(self.axis), -excess])
+
+
+def stands_still(observations: Observations, axis: str) -> bool:
+    """Whether all readings are at one position of an axis."""
+    return bool(np.ptp(observations.readings.column(axis)) < SAME_POSITION)
