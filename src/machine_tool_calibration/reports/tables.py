@@ -122,7 +122,7 @@ def show_table(screen: Console, table: TextTable) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    if table.title:
+    if table.title and (table.rows or table.note):
         screen.print()
         screen.print(Text(table.title, style="bold"))
     table = table.filled()

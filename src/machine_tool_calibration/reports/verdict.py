@@ -69,7 +69,7 @@ def verdict_words(
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     if (memory := diagnosis.search.memory) >= _MEMORY:
-        yield say("diagnosis.memory", n=round(memory))
+        yield say("diagnosis.memory", n=min(round(memory), len(Pool(diagnosis.search.fit))))
     yield from _noise(diagnosis)
 
 
@@ -144,7 +144,8 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
 
 def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     """What to do next: one sentence or two."""
-    told = next((s for s in advice.separations if s.kind is not None), None)
+    likely = set(diagnosis.likely)
+    told = next((s for s in advice.separations if s.kind is not None and likely.intersection(s.effects)), None)
     if diagnosis.accepted or diagnosis.verdict == "outliers":
         names = together(diagnosis.accepted, say("text.and"))
         text = say("next.adds", names=names) if diagnosis.accepted else say("next.sets_aside")
@@ -154,7 +155,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
             others = together(mine.effects[1:], say("diagnosis.or"))
             return together((text, say("next.from_rivals", names=others, measure=measure)))
         return text
-    if diagnosis.likely and told is not None:
+    if told is not None:
         return say("next.between", names=together(told.effects, say("text.and")), measure=told.measure)
     if diagnosis.verdict == "unexplained":
         return say("next.look")
