@@ -30,7 +30,8 @@ def test_a_plate_end_to_end(verb: Verb, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
     told = verb("convert", DATA / "plate_cmm.csv", folder, *PLATE)
     assert told.out == f"{folder}: 126 readings\n"
-    assert told.err == "2 of 126 readings are empty cells: kept as missing\n"
+    not_read = f"{DATA / 'plate_cmm.csv'}: not read: 'Bemerkung'\n"
+    assert told.err == f"{not_read}2 of 126 readings are empty cells: kept as missing\n"
     assert read_session(folder).instrument == "cmm"
     out = verb("info", folder).out
     assert "126 readings, 2 missing, 63 targets" in out and "plate_cmm" in out

@@ -8,7 +8,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +136,42 @@ def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: 
     with pytest.raises(ModelError, match=re.escape(says)) as caught:
         formula_effect(SETTLING | change)
     assert "\n" not in str(caught.value)
+
+
+def test_another_unit_than_one_of_si_is_converted() -> None:
+    """In millimetres and minutes, a column of one's own in millimetres too, an effect has the same columns and limits."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=2)).session
+    columns = session.readings.columns | {"gauge": 2e-3 * session.readings.column("dir_y")}
+    metres = build_model(session.with_readings(replace(session.readings, columns=columns)))[0].observations
+    in_mm = session.readings.columns | {"gauge": 2.0 * session.readings.column("dir_y")}
+    millimetres = build_model(session.with_readings(replace(session.readings, columns=in_mm)))[0].observations
+    formula = {"formula": "b * gauge / length * exp(-time / tau)"}
+    plain = formula_effect(SETTLING | formula | {"constants": {"length": {"value": 2e-3, "unit": "m"}}})
+    other = formula_effect(
+        SETTLING
+        | formula
+        | {
+            "coefficients": {"b": {"unit": "mm", "low": -1e-2, "high": 1e-2}},
+            "shapes": {"tau": {"unit": "min", "low": 1 / 6, "high": 1e4 / 60}},
+            "constants": {"length": {"value": 2.0, "unit": "mm"}},
+            "columns": {"gauge": "mm"},
+        }
+    )
+    for mine, theirs in zip((*plain.coefficients, *plain.shapes), (*other.coefficients, *other.shapes), strict=True):
+        assert mine.unit == theirs.unit
+        assert (theirs.low, theirs.high) == pytest.approx((mine.low, mine.high))
+    np.testing.assert_allclose(other.columns(millimetres, (60.0,)), plain.columns(metres, (60.0,)), rtol=1e-12)
+    with pytest.raises(ModelError, match="y is in m in every session, not in mm"):
+        formula_effect(SETTLING | {"columns": {"y": "mm"}})
+
+
+@pytest.mark.parametrize("unit", ["degC", "K"])
+def test_temperatures_in_degrees_celsius_count_in_kelvin(unit: str) -> None:
+    constant = {
+        "formula": "b * (temperature_y - t0) / t0 * exp(-time / tau)",
+        "constants": {"t0": {"value": 20, "unit": unit}},
+    }
+    assert formula_effect(SETTLING | constant)._constants["t0"] == 20.0
 
 
 @pytest.mark.parametrize("formula", ["b **", "b" * 2000, "b * (time + x) * exp(-time / tau)", "b * dir_y"])

@@ -119,3 +119,77 @@ def test_the_page_of_mappings_has_every_key() -> None:
         *(q for kind in ROLES.values() for q in kind),
     }:
         assert f"`{name}`" in page
+
+
+def written(file: Path, head: str, *rows: str) -> Path:
+    file.write_text("\n".join([head, *rows]) + "\n")
+    return file
+
+
+def positions(file: Path, **more: object) -> tuple[list[float], tuple[str, ...]]:
+    """Where a run by ISO 230-2 was read, and what is said of the table."""
+    session = {"machine": {"chain": "w-X-b-t"}, "standard_uncertainty": "0.3um"}
+    content = {"table": "iso230-2", "axis": "x", "columns": {"position": "Position"}, "session": session, **more}
+    content = {"units": {"length": "mm", "deviation": "um"}, **content}
+    found = import_table(file, parse_mapping(content, "mapping"))
+    return found.session.readings.column("x").tolist(), found.notes
+
+
+def test_the_origin_of_a_run_shifts_it_and_that_of_another_axis_is_refused(tmp_path: Path) -> None:
+    rows = [f"{10 * k},{k},{k + 1}" for k in range(5)]
+    file = written(tmp_path / "run.csv", "Position,1 up,1 down", *rows)
+    plain = np.array(positions(file)[0])
+    np.testing.assert_allclose(positions(file, origin={"x": "250mm"})[0], plain + 0.25)
+    with pytest.raises(SessionError, match="origin names y, of which there is no column"):
+        positions(file, origin={"y": "250mm"})
+
+
+@pytest.mark.parametrize(
+    ("table", "option"),
+    [("iso230-2", {"align": True}), ("points", {"axis": "x"}), ("readings", {"sign": "nominal-minus-actual"}),
+     ("readings", {"origin": {"x": "1mm"}}), ("circles", {"targets": {"T": "0, 0, 0 mm"}})],
+)  # fmt: skip
+def test_an_option_of_another_kind_of_table_is_refused(table: str, option: dict[str, object]) -> None:
+    (name,) = option
+    with pytest.raises(SessionError, match=f"mapping: a table of {table} has no {name}"):
+        parse_mapping({"table": table, **option}, "mapping")
+
+
+def test_units_in_a_header_are_known_or_refused(tmp_path: Path) -> None:
+    rows = [f"{10 * k},{k},{k + 1}" for k in range(5)]
+    known = written(tmp_path / "cm.csv", "Position [cm],1 up [µin],1 down [µin]", *rows)
+    columns = {"position": "Position [cm]"}
+    said = {"units": {"length": "mm"}, "columns": columns}
+    assert max(positions(known, **said)[0]) == pytest.approx(0.4)
+    unknown = written(tmp_path / "ell.csv", "Position [ell],1 up,1 down", *rows)
+    with pytest.raises(SessionError, match=r"'Position \[ell\]' says ell, which is no unit that is known"):
+        positions(unknown, columns={"position": "Position [ell]"})
+    assert max(positions(unknown, columns={"position": {"column": "Position [ell]", "unit": "mm"}})[0]) == 0.04
+
+
+def test_rows_that_are_sorted_by_their_time_and_columns_that_are_not_read_are_said(tmp_path: Path) -> None:
+    times = [f"2024-10-27 02:{minute:02d}:00" for minute in (40, 45, 50, 55, 0, 5, 10, 15)]
+    rows = [f"{10 * k},{k},up,1,{time},dry" for k, time in enumerate(times)]
+    file = written(tmp_path / "summer.csv", "Position,Dev,way,run,T,Weather", *rows)
+    columns = {"position": "Position", "deviation": "Dev", "direction": "way", "run": "run", "time": "T"}
+    _, notes = positions(file, columns=columns, layout="long")
+    assert any("line 6: earlier than the row before (1 such rows)" in note for note in notes)
+    assert f"{file}: not read: 'Weather'" in notes
+
+
+def test_names_of_quantities_are_taken_in_capitals_and_two_of_one_are_refused(tmp_path: Path) -> None:
+    as_people_have_it(DATA / "tracking_2d", tmp_path / "table.csv")
+    text = (tmp_path / "table.csv").read_text()
+    head, _, rest = text.partition("\n")
+    (tmp_path / "table.csv").write_text(f"{head.upper().replace('[MM]', '[mm]').replace('(DEG)', '(deg)')}\n{rest}")
+    content = {
+        "table": "readings",
+        "units": UNITS,
+        "session": yaml.safe_load((DATA / "tracking_2d/session.yaml").read_text()),
+    }
+    content["columns"] = {"displacement": {"column": "READING [UM]", "unit": "um"}}
+    read = import_table(tmp_path / "table.csv", parse_mapping(content, "mapping")).session.readings
+    assert read.columns.keys() == read_session(DATA / "tracking_2d").readings.columns.keys()
+    (tmp_path / "two.csv").write_text(text.replace("x [mm]", "y", 1))
+    with pytest.raises(SessionError, match=r"y may be 'y' and 'y \[mm\]'; say which"):
+        import_table(tmp_path / "two.csv", parse_mapping(content, "mapping"))

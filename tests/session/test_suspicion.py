@@ -169,6 +169,34 @@ def test_a_grid_of_more_unknowns_than_touches_is_refused() -> None:
         check_session(finer)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"known": {"position": 110.0}}, "known.EXX.position is 110 m, and touches reach to 0.1"),
+        ({"known": {"standard_uncertainty": 1e-15}}, "known.EXX.standard_uncertainty is 1e-15 m, less than any"),
+        ({"grid": (-110.0, 0.0, 110.0)}, "machine.table_grid.y reaches 110 m; these look like millimetres"),
+        ({"grid": (0.11, 0.22, 0.33)}, "machine.table_grid.y runs from 0.11 to 0.33 m, and the touches are at -0.1"),
+        ({"reading": 999.9}, "displacement is 999.9 m; no deviation: what was not read has no number"),
+    ],
+)
+def test_of_a_probing_a_length_a_grid_and_a_reading_that_cannot_be(change: dict[str, Any], says: str) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=1)).session
+    description = session.description
+    known = description.known["EXX"].model_copy(update=change.get("known", {}))  # type: ignore[attr-defined]
+    grid = {"x": description.machine.table_grid["x"], "y": change.get("grid", description.machine.table_grid["y"])}
+    machine = description.machine.model_copy(update={"table_grid": grid})
+    read = session.readings.displacement.copy()
+    read[7] = change.get("reading", read[7])
+    wrong = replace(
+        session.with_readings(replace(session.readings, displacement=read)),
+        description=description.model_copy(update={"known": {"EXX": known}, "machine": machine}),
+    )
+    check_session(session)
+    with pytest.raises(SessionError) as caught:
+        check_session(wrong)
+    assert says in str(caught.value)
+
+
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_sound_sessions_are_not_suspicious(preset: str) -> None:
     assert suspicions([simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session]) == []

@@ -160,6 +160,24 @@ _UNIT = re.compile(rf"1|(?:1\s*/)?{_POWER}(?:[*/ ]{_POWER})*")
 _LONGEST_UNIT = 60
 _GRID = 12
 _LARGEST_FILE = 1 << 20
+_ROUNDING = 1e-9  # of a factor between units
+
+
+def _in_si(name: str, unit: str) -> tuple[float, str]:
+    """What a number in the unit of something by this name is multiplied by, and the unit that it then has.
+
+    Temperatures in degrees Celsius are kelvin: only differences mean something. A ModelError: not a unit.
+    """
+    if unit == "1":
+        return 1.0, unit
+    try:
+        if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit) or unit.count("(") != unit.count(")"):
+            raise ValueError
+        one, two = (registry().Quantity(value, unit).to_base_units() for value in (1.0, 2.0))
+    except (UndefinedUnitError, DefinitionSyntaxError, ValueError, TypeError, AssertionError, TokenError):
+        raise ModelError(f"{name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
+    factor = float(two.magnitude - one.magnitude)
+    return (1.0, unit) if abs(factor - 1.0) < _ROUNDING else (factor, f"{one.units:~C}")
 
 
 class _Unknown(Record):
@@ -173,6 +191,11 @@ class _Unknown(Record):
         if not self.low < self.high:
             raise ValueError(f"it must run from low to high, not {self.low:g} to {self.high:g}")
         return self
+
+    def in_si(self, name: str) -> tuple[str, float, float]:
+        """Its unit and range in SI; see `_in_si`."""
+        factor, unit = _in_si(name, self.unit)
+        return unit, self.low * factor, self.high * factor
 
 
 class _Constant(Record):
@@ -214,10 +237,13 @@ class FormulaEffect(Effect):
         self.formula = f"{'' if definition.enters == 'reading' else 'e_'}{definition.enters} = {definition.formula}"
         self.source = definition.source
         self.kind = "reading" if definition.enters == "reading" else "position"
-        self.coefficients = tuple(
-            Coefficient(n, u.unit, u.low, u.high, u.meaning) for n, u in definition.coefficients.items()
-        )
-        self.shapes = tuple(Shape(n, u.unit, u.low, u.high, meaning=u.meaning) for n, u in definition.shapes.items())
+        self.coefficients = tuple(Coefficient(n, *u.in_si(n), u.meaning) for n, u in definition.coefficients.items())
+        self.shapes = tuple(Shape(n, *u.in_si(n), meaning=u.meaning) for n, u in definition.shapes.items())
+        self._constants = {n: c.value * _in_si(n, c.unit)[0] for n, c in definition.constants.items()} | {"pi": np.pi}
+        self._units = {n: _in_si(n, unit)[0] for n, unit in definition.columns.items()}
+        for name, factor in self._units.items():
+            if factor != 1.0 and name in _UNITS:
+                raise ModelError(f"{name} is in {_UNITS[name]} in every session, not in {definition.columns[name]}")
         own = set(definition.coefficients) | set(definition.shapes) | set(definition.constants) | {"pi"}
         unused = set(definition.coefficients) | set(definition.shapes)
         for name in sorted(unused - self._expression.names):
@@ -233,13 +259,6 @@ class FormulaEffect(Effect):
         units = _UNITS | definition.columns
         units |= {n: u.unit for n, u in (definition.coefficients | definition.shapes).items()}
         units |= {n: c.unit for n, c in definition.constants.items()}
-        for name, unit in units.items():
-            try:
-                if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit) or unit.count("(") != unit.count(")"):
-                    raise ValueError
-                registry().Unit("dimensionless" if unit == "1" else unit)
-            except (UndefinedUnitError, DefinitionSyntaxError, ValueError, TypeError, AssertionError, TokenError):
-                raise ModelError(f"{name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
         try:
             unit_of_value = self._expression.unit(units)
         except ModelError as error:
@@ -263,8 +282,7 @@ class FormulaEffect(Effect):
         """Linear in the coefficients: with all at zero nothing, with all doubled twice as much, with two the sum."""
         rng = np.random.default_rng(0)
         values: dict[str, Any] = {n: rng.uniform(0.5, 1.5, 16) for n in self._expression.names}
-        values |= {n: c.value for n, c in self._definition.constants.items()}
-        values |= {"pi": np.pi}
+        values |= self._constants
         names = [c.name for c in self.coefficients]
         zero = self._expression.evaluate(values | dict.fromkeys(names, 0.0))
         each = [self._expression.evaluate(values | {n: float(n == m) for n in names}) for m in names]
@@ -295,9 +313,8 @@ class FormulaEffect(Effect):
         """The formula with one coefficient at one and the others at zero, for each."""
         readings = observations.readings
         n = len(readings)
-        values: dict[str, Any] = {name: readings.column(name) for name in self._columns}
-        values |= {"path": observations.path, "displacement": readings.displacement, "pi": np.pi}
-        values |= {name: c.value for name, c in self._definition.constants.items()}
+        values: dict[str, Any] = {name: readings.column(name) * self._units.get(name, 1.0) for name in self._columns}
+        values |= {"path": observations.path, "displacement": readings.displacement} | self._constants
         values |= {s.name: v for s, v in zip(self.shapes, shape, strict=True)}
         names = [c.name for c in self.coefficients]
         each = (self._expression.evaluate(values | {m: float(m == name) for m in names}) for name in names)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import IntArray
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import ROLES, Mapping
@@ -23,6 +23,7 @@ from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble, distinct_labels
 
+_SHOWN = 12  # columns that a note names
 _LABELS = tuple(role for role, kind in ROLES["readings"].items() if kind == "text" and role != "setup")
 
 
@@ -73,6 +74,10 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     if isinstance(description, Direct):  # a misspelt error would be met at the identification only
         asked_tables(description.machine.kinematics, description.terms, readings.position())
     notes = [*(f"{columns.table.source}: {text}" for columns in read for text in columns.table.notes), *rows.notes]
+    for columns in read:
+        if columns.unread:
+            some = ", ".join(map(repr, columns.unread[:_SHOWN])) + (" …" if len(columns.unread) > _SHOWN else "")
+            notes.append(f"{columns.table.source}: not read: {some}")
     missing = int(np.count_nonzero(~np.isfinite(readings.displacement)))
     if missing:
         notes.append(f"{missing} of {len(readings)} readings are empty cells: kept as missing")
@@ -138,14 +143,28 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
         described["setups"] = [entry for _, entry in setups.values()]
     if "repeats" in described:
         described["repeats"] = max(part.description["repeats"] for part in parts)  # type: ignore[type-var]
-    notes = tuple(dict.fromkeys(text for part in parts for text in part.notes))
+    notes = list(dict.fromkeys(text for part in parts for text in part.notes))
     if "time" in numbers and any(columns.stamped for columns in read):
         time = numbers["time"]
         order = np.argsort(time, kind="stable") if np.isfinite(time).all() else np.arange(len(time))
+        notes += _reordered(time, origin, [columns.table for columns in read])
         numbers = {name: values[order] for name, values in numbers.items()} | {"time": time[order] - np.nanmin(time)}
         labels = {name: values[order] for name, values in labels.items()}
         origin = origin[order]
-    return Rows(numbers, labels, origin[:, 1], described, notes), origin
+    return Rows(numbers, labels, origin[:, 1], described, tuple(notes)), origin
+
+
+def _reordered(time: Array, origin: IntArray, tables: Sequence[TextTable]) -> list[str]:
+    """Where rows are earlier than those before them, in (n, 2) tables and rows at times (n,), s: they are sorted."""
+    place = np.lexsort((origin[:, 1], origin[:, 0]))
+    back = np.flatnonzero(np.diff(time[place]) < 0.0) + 1
+    if not len(back):
+        return []
+    table, row = origin[place[back[0]]]
+    return [
+        f"{tables[table].where(row)}: earlier than the row before ({len(back)} such rows): rows were sorted by their "
+        "times; times of day alone do not tell one day, or summer time, from another"
+    ]
 
 
 def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.mapping import ROLES, ColumnRule
 from machine_tool_calibration.importing.mapping import Mapping as TableMapping
 from machine_tool_calibration.importing.text_table import TextTable
-from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name, without_unit
+from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name, unknown_unit, without_unit
 
 _NEED_NO_UNIT = {"time": "s", "temperature": "degC", "number": "1"}
 
@@ -43,13 +43,25 @@ class Columns:
         return role in self.mapping.columns or role in self.mapping.values
 
     def take_namesakes(self) -> None:
-        """Take each column that is called as a quantity, with or without its unit, for that where nothing else is."""
+        """Take each column that is called as a quantity, with or without its unit, for that where nothing else is.
+
+        A SessionError: there are two of them.
+        """
         named = dict(self.mapping.columns)
         for column in self.table.names:
-            role = without_unit(column)
+            role = without_unit(column).lower()
             if role in ROLES[self.mapping.table] and not self.has(role):
-                named.setdefault(role, ColumnRule(column=column))
+                if role in named and named[role].column != column:
+                    both = f"{named[role].column!r} and {column!r}"
+                    raise SessionError(f"{self.table.source}: {role} may be {both}; say which, as in --column {role}=…")
+                named[role] = ColumnRule(column=column)
         self.mapping = self.mapping.model_copy(update={"columns": named})
+
+    @property
+    def unread(self) -> list[str]:
+        """Columns that were not read."""
+        known = {column for column, _ in self.read.values()}
+        return [] if self.mapping.transposed else [name for name in self.table.names if name and name not in known]
 
     def need(self, roles: Collection[str], why: str) -> None:
         """Raise a SessionError that names the first quantity that nothing is named for."""
@@ -127,6 +139,15 @@ class Columns:
         text = self.mapping.origin.get(axis)  # type: ignore[call-overload]
         return 0.0 if text is None else quantity(text, "length", f"origin of {axis}")
 
+    def check_origin(self, axes: Collection[str]) -> None:
+        """Raise a SessionError if the origin of another axis is given: of one that no column has nothing is shifted."""
+        for axis in self.mapping.origin:
+            if axis not in axes:
+                raise SessionError(
+                    f"{self.table.source}: origin names {axis}, of which there is no column of positions; what is the "
+                    f"same in every row is a value, as in --value {axis}=250mm"
+                )
+
     def _unit(self, role: str, rule: ColumnRule, wanted: str | None) -> str:
         units = self.mapping.units
         named = unit_in_name(rule.column)
@@ -140,6 +161,11 @@ class Columns:
             given = named
         if given is None and wanted is not None:
             given = units.get(wanted) or _NEED_NO_UNIT.get(wanted)
+            if (unknown := unknown_unit(rule.column)) is not None and wanted != "number":
+                raise SessionError(
+                    f"{self.table.source}: the column {rule.column!r} says {unknown}, which is no unit that is known; "
+                    f"say which it is, as in --unit {role}={given or 'mm'}"
+                )
         if given is None and wanted is None:
             given = "1"
         if given is None:

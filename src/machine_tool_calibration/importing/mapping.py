@@ -45,6 +45,13 @@ ROLES: dict[str, dict[str, str]] = {
     },
 }
 """For each kind of table what a column can be, and its dimension."""
+_OPTIONS: dict[str, tuple[str, ...]] = {
+    "points": ("origin", "sign", "align"),
+    "ranges": ("origin", "stations", "targets"),
+    "iso230-2": ("origin", "sign", "layout", "transposed", "runs", "axis", "actual", "senses"),
+    "circles": ("sign",),
+    "readings": (),
+}
 
 
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
@@ -121,7 +128,10 @@ def read_mapping(path: Path) -> dict[str, Any]:
 def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
     """The mapping from the keys of the file, the command line, or both; a SessionError names the key that is wrong."""
     mapping = validated(Mapping, content, source, unnamed=("[key]",))
-    roles = ROLES[mapping.table]
+    roles, plain = ROLES[mapping.table], Mapping(table=mapping.table)
+    for key in dict.fromkeys(key for keys in _OPTIONS.values() for key in keys):
+        if key not in _OPTIONS[mapping.table] and getattr(mapping, key) != getattr(plain, key):
+            raise SessionError(f"{source}: a table of {mapping.table} has no {key}")
     for kind in ("columns", "values"):
         for role in getattr(mapping, kind):
             if role not in roles:

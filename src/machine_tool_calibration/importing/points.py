@@ -122,6 +122,7 @@ def point_rows(columns: Columns, name: str) -> Rows:
     deviation, how = _deviation(columns, nominal, setups)
     sensed = [j for j in range(3) if how[j]]
     n, k = len(table), len(sensed)
+    columns.check_origin([_AXES[j] for j in axes])
     origin = np.array([columns.origin(axis) for axis in _AXES])
     empty = first_true(np.asarray(np.isnan(nominal[:, axes]).any(axis=1)))
     if empty is not None:
@@ -221,7 +222,7 @@ def range_rows(columns: Columns) -> Rows:
     With a column `target` the targets turn with a rotary table (`rotary_axis`), else the machine carries one target
     to the commanded positions (`tracking_interferometer`, with a beam that follows it).
     """
-    mapping, table = columns.mapping, columns.table
+    table = columns.table
     columns.need(("setup",), "the station")
     rotary = columns.has("target")
     stations = columns.setups("")
@@ -233,6 +234,7 @@ def range_rows(columns: Columns) -> Rows:
     if not rotary:
         columns.need(_AXES[:2], "the commanded position")
     numbers: dict[str, Array] = {axis: columns.filled(axis) for axis in moved}
+    columns.check_origin(() if rotary else moved)
     numbers |= {} if rotary else {axis: values + columns.origin(axis) for axis, values in numbers.items()}
     named = [*(["target"] if rotary else ()), *(["point"] if columns.has("point") else ())]
     labels: dict[str, np.ndarray] = {"setup": stations} | {name: columns.text(name) for name in named}
@@ -256,8 +258,6 @@ def range_rows(columns: Columns) -> Rows:
         described |= {"method": "rotary_axis", "targets": _targets(columns, labels["target"])}
     else:
         described |= {"method": "tracking_interferometer", "dimension": len(moved), "pointing": "tracking"}
-    if mapping.align:
-        raise SessionError(f"{table.source}: align is for points; distances need none")
     return Rows(numbers, labels, np.arange(len(table)), described, tuple(notes))
 
 

@@ -17,7 +17,10 @@ UNITS: dict[str, tuple[str, int, float]] = {
     "mm": ("length", -3, 1.0),
     "um": ("length", -6, 1.0),
     "nm": ("length", -9, 1.0),
+    "cm": ("length", -2, 1.0),
     "in": ("length", 0, 0.0254),
+    "mil": ("length", -3, 0.0254),
+    "uin": ("length", -6, 0.0254),
     "rad": ("angle", 0, 1.0),
     "mrad": ("angle", -3, 1.0),
     "urad": ("angle", -6, 1.0),
@@ -28,6 +31,7 @@ UNITS: dict[str, tuple[str, int, float]] = {
     "ms": ("time", -3, 1.0),
     "min": ("time", 0, 60.0),
     "h": ("time", 0, 3600.0),
+    "d": ("time", 0, 86400.0),
     "degC": ("temperature", 0, 1.0),
     "Pa": ("pressure", 0, 1.0),
     "hPa": ("pressure", 2, 1.0),
@@ -43,12 +47,16 @@ _SPELLINGS = {
     "µrad": "urad",
     "μrad": "urad",
     "inch": "in",
+    "thou": "mil",
+    "µin": "uin",
+    "μin": "uin",
     "°": "deg",
     "grad": "gon",
     "°C": "degC",
     "sec": "s",
 }
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*?)?\s*")
+_LIKE_A_UNIT = re.compile(r"[^\W\d_]{1,4}")
 _IN_NAME = re.compile(r"(.*)[\[(]\s*([^\])]+?)\s*[\])]\s*")
 
 
@@ -102,6 +110,12 @@ def unit_in_name(column: str) -> str | None:
         return None
     name = _SPELLINGS.get(match[2], match[2])
     return name if name in UNITS and name != "1" else None
+
+
+def unknown_unit(column: str) -> str | None:
+    """What a column's name ends with in square brackets, if it looks like a unit and is none that is known."""
+    match = _IN_NAME.fullmatch(column) if column.rstrip().endswith("]") else None
+    return match[2] if match is not None and not unit_in_name(column) and _LIKE_A_UNIT.fullmatch(match[2]) else None
 
 
 def without_unit(column: str) -> str:

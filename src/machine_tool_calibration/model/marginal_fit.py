@@ -66,6 +66,8 @@ class Solved:
 _COVERED, _MOST_SIZES, _MOST_WITH_RANDOM = 0.99, 24, 3
 # Readings up to which what every model lacks is in what is published: of more, U is what grows least.
 _ENOUGH = 20_000
+# Readings times unknowns up to which the noise's memory is in it: of many runs, their own functions take what is slow.
+_NUMBERS = 5_000_000
 # Share of a function's squares outside the model below which the model absorbs it: a run's constant, mostly.
 _LEAST_SHARE_LEFT = 1e-3
 
@@ -156,7 +158,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
     by_memory = np.zeros_like(covariance)
-    if problem.n_readings <= _ENOUGH:
+    if problem.n_readings <= _ENOUGH and problem.n_readings * wide.size <= _NUMBERS:
         by_memory = added_by_memory(observed, wide, solution, found.mean, found.estimator, found.squares, found.scatter)
     published = replace(
         solution,

@@ -24,7 +24,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     turned,
     wrapped,
 )
-from machine_tool_calibration.session.checks.units import MILLIMETRES
+from machine_tool_calibration.session.checks.units import FINEST, LARGEST_MACHINE, MILLIMETRES
 from machine_tool_calibration.session.description import Description, Place, Probing
 from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.method import MethodSpec
@@ -38,6 +38,8 @@ _AT_POINT, _TOUCH_BESIDE = 1e-4, 2e-3
 # Share of a setup's touches with an approach against their normals from which on the normals are wrong.
 _AGAINST = 0.5
 _SAME_ANGLE = 0.01  # rad
+# A measured length, over how far the touches reach, that is another unit; share of the touches within a table's grid.
+_BEYOND_TOUCHES, _IN_GRID = 20.0, 0.5
 # Nodes of the tables from which more unknowns than touches (two position errors a node) take minutes.
 _MANY_NODES, _AT_A_NODE = 100, 2
 
@@ -78,8 +80,10 @@ class ProbingSpec(MethodSpec):
         super().enough(session, measured, place)
 
     def magnitudes(self, session: Session, place: Place) -> None:
-        """Refuse normals that are none and a stylus that cannot be."""
+        """Refuse normals that are none, a stylus, a measured length and a grid that cannot be."""
         description = session.description.as_a(Probing)
+        _check_known(session, place)
+        _check_grid(session, place)
         for index, point in enumerate(description.workpiece):
             length = float(np.hypot(*point.normal))
             if abs(length - 1.0) > 0.01:
@@ -150,6 +154,37 @@ def _turned_part(session: Session, key: str) -> Array:
 
 def _declared(description: Description) -> Array:
     return np.array([setup.c for setup in description.as_a(Probing).setups])
+
+
+def _check_known(session: Session, place: Place) -> None:
+    for name, entry in session.description.as_a(Probing).known.items():
+        where, u = f"{place.description}: known.{name}", entry.standard_uncertainty
+        if name not in ("EXX", "EYY"):
+            raise SessionError(f"{where} is not the positioning error of a probing axis; EXX and EYY are")
+        if 0.0 < u < FINEST:
+            raise SessionError(f"{where}.standard_uncertainty is {u:g} m, less than any instrument has; 0 is exact")
+        reach = float(np.abs(session.readings.column(name[-1].lower())).max())
+        if abs(entry.position) > _BEYOND_TOUCHES * reach and not session.description.trust_units:
+            with suspected():
+                raise SessionError(
+                    f"{where}.position is {entry.position:g} m, and touches reach to {reach:g} m; {MILLIMETRES}"
+                )
+
+
+def _check_grid(session: Session, place: Place) -> None:
+    """A grid that holds too few of the touches would be filled by straight lines from outside it."""
+    grid = {} if session.description.trust_units else session.description.machine.table_grid or {}
+    for name, nodes in ((name, nodes) for name, nodes in grid.items() if name.lower() in session.readings.columns):
+        where, position = f"{place.description}: machine.table_grid.{name}", session.readings.column(name.lower())
+        low, high, reach = float(position.min()), float(position.max()), max(map(abs, nodes))
+        with suspected():
+            if reach > LARGEST_MACHINE:
+                raise SessionError(f"{where} reaches {reach:g} m; {MILLIMETRES}")
+            inside = np.mean((position >= nodes[0]) & (position <= nodes[-1]))
+            if inside < _IN_GRID and max(abs(low), abs(high)) <= LARGEST_MACHINE:
+                raise SessionError(
+                    f"{where} runs from {nodes[0]:g} to {nodes[-1]:g} m, and the touches are at {low:g} to {high:g} m"
+                )
 
 
 def _check_index_angles(session: Session, place: Place) -> None:

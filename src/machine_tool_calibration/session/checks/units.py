@@ -17,7 +17,7 @@ LARGEST_MACHINE = 50.0  # m
 LARGEST_TRAVEL = 100.0  # m
 _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
-_FINEST, _COARSEST = 1e-11, 1e-2  # standard uncertainties of a reading, m
+FINEST, _COARSEST = 1e-11, 1e-2  # standard uncertainties of a reading, m
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
 _LEAST_VALUE = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
@@ -94,7 +94,7 @@ def _declared(stated: StandardUncertainty, place: Place) -> None:
         where = f"{place.description}: standard_uncertainty.{key} is {sigma:g} m"
         if sigma > _COARSEST:
             raise SessionError(f"{where}; this looks like another unit than metres")
-        if sigma < _FINEST and not one.per_length:
+        if sigma < FINEST and not one.per_length:
             raise SessionError(f"{where}, less than any instrument has")
 
 
@@ -112,7 +112,8 @@ def _angles(session: Session, place: Place) -> None:
 
 def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
-    if spec_of(session).reads_deviations:
+    deviations = spec_of(session).reads_deviations
+    if deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
         if typical > 0.02:
             if (like := _like_places(session, typical)) is not None:
@@ -121,16 +122,16 @@ def _displacement(session: Session, place: Place) -> None:
                 f"{place.readings}: displacement is {typical:g} m in the middle; "
                 "these look like millimetres or micrometres; deviations are in metres"
             )
-        return
     known = values[np.isfinite(values)]
-    if len(known) > ENOUGH_TO_DIFFER and not np.ptp(known):
+    if len(known) > ENOUGH_TO_DIFFER and not np.ptp(known) and not deviations:
         raise SessionError(f"{place.readings}: all {len(known)} readings are {known[0]:g} m: was the instrument read?")
     row = int(np.nanargmax(np.abs(values)))
     reach = abs(values[row])
     if reach > _FARTHEST_STATION:
         where = place.row(session.readings.row[row])
         unit = MILLIMETRES if reach < _MICROMETRES_FROM else MILLIMETRES.replace("milli", "micro")
-        raise SessionError(f"{where}: displacement is {values[row]:g} m; {unit}")
+        what = "no deviation: what was not read has no number" if deviations else unit
+        raise SessionError(f"{where}: displacement is {values[row]:g} m; {what}")
 
 
 def _like_places(session: Session, typical: float) -> str | None:
