@@ -7,10 +7,12 @@ What `mtcal export` says of effects that are in the model: in the tables, or in 
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from machine_tool_calibration.cli.export import bad_fit
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -185,6 +187,15 @@ def test_a_bad_fit(session: Path, tmp_path: Path, verb: Verb) -> None:
     assert BAD in shown.err
     assert document["reduced_chi_square"] > 10.0
     assert document["p_value"] < 1e-3
+
+
+def test_runs_whose_directions_agree_are_no_bad_fit() -> None:
+    """Of what is read either way, the reversal is no misfit of the map."""
+    scatter = {"declared": 3e-7, "found": 2e-6, "uncertainties_from": "scatter", "factor": 6.0}
+    fit: Any = SimpleNamespace(p_value=1e-12, reduced_chi_square=40.0)
+    assert "scatter" in str(bad_fit(fit, {"scatter": scatter, "position_error_u": [[1e-6, None, None]]}))
+    agreeing = scatter | {"one_direction": 3e-7, "one_direction_p_value": 0.4}
+    assert bad_fit(fit, {"scatter": agreeing, "position_error_u": [[1e-6, None, None]]}) is None
 
 
 def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, verb: Verb) -> None:

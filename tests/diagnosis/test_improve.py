@@ -133,7 +133,10 @@ def test_steps_become_entries_of_a_history() -> None:
     assert [p.name for p in last.parameters] == ["backlash_y.b"]
     assert last.map_change_rms == done.steps[1].map_change
     # A record without what a method does not map.
-    bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
+    mapped = done.steps[1].result.error_map
+    unknown = np.full_like(mapped.error, np.nan)
+    result = replace(done.steps[1].result, error_map=replace(mapped, error=unknown, uncertainty=unknown))
+    bare = replace(done.steps[1], result=result)
     assert bare.left_at_tool is None
     assert bare.residual_volumetric_error(done.steps[-1]) is None
     assert entry(bare).map_rms is None

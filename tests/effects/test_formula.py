@@ -139,7 +139,7 @@ def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: 
 
 
 def test_another_unit_than_one_of_si_is_converted() -> None:
-    """In millimetres and minutes, a column of one's own in millimetres too, an effect has the same columns and limits."""
+    """In millimetres and minutes, an effect has the same columns and limits."""
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=2)).session
     columns = session.readings.columns | {"gauge": 2e-3 * session.readings.column("dir_y")}
     metres = build_model(session.with_readings(replace(session.readings, columns=columns)))[0].observations

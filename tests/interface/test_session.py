@@ -159,6 +159,8 @@ WRONG: list[tuple[Callable[[Any], object], str]] = [
     (lambda run: run.conformity(["EXX"]), "tolerances must be a mapping"),
     (lambda run: run.conformity({}), "no tolerance is given"),
     (lambda run: run.conformity({"EXX": None}), "the tolerance of EXX must be"),
+    (lambda run: run.conformity({"EXX": True}), "the tolerance of EXX must be a number or a text"),
+    (lambda run: run.budget([]), "contributors has 0 entries"),
     (lambda run: run.conformity({"EXX": 1e-5}, budget="mine.yaml"), "budget must be one, as Fit.budget gives it"),
     (lambda run: run.error_at("here"), "positions must be numbers"),
     (lambda run: run.error_at([[0.0, 0.0, 0.0], [0.0]]), "positions must be numbers"),
@@ -183,7 +185,7 @@ def test_what_cannot_be_is_named(run: mtcal.Fit, call: Callable[[Any], object], 
 
 
 def test_numbers_of_numpy_are_numbers(run: mtcal.Fit) -> None:
-    assert run.compare_map(run, seed=np.int64(3)).agree
+    assert run.compare_map(mtcal.identify(mtcal.simulate("iso230_2", repeats=2, seed=4)), seed=np.int64(3)).count
 
 
 def test_far_beyond_what_was_measured_there_is_no_error(run: mtcal.Fit) -> None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from scipy import special
 
 from machine_tool_calibration.cli.compare_maps import command
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.methods import map_comparison
 from machine_tool_calibration.methods.fitted import FittedSessions
@@ -22,6 +22,8 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
+
+from ..again import measured_again
 
 NAN = np.nan
 LINE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
@@ -165,7 +167,9 @@ def test_the_verb_says_whether_two_measurements_agree(tmp_path: Path, monkeypatc
     assert document["agree"] is False, "two machines"
     assert document["difference"][0][1] is None, "Y was not read"
     assert (tmp_path / "both.png").stat().st_size > 0
-    shown = CliRunner().invoke(command, [*folders[:1], *folders[:1]]).output
+    again = CliRunner().invoke(command, [*folders[:1], *folders[:1]])
+    assert isinstance(again.exception, SessionError) and "are the same readings" in str(again.exception)
+    shown = CliRunner().invoke(command, [folders[0], str(measured_again(folders[0], tmp_path / "again"))]).output
     assert "The maps agree within their joint uncertainty" in shown
     assert "1 − 2 / µm" in shown and "Not compared" not in shown
     whole = line(1, 0.0)

@@ -20,6 +20,7 @@ from machine_tool_calibration.reports.identification import (
     goodness_of_fit,
     group_by_reason,
     readings_set_aside,
+    session_headline,
     spread_words,
     summary_rows,
 )
@@ -163,3 +164,9 @@ def test_what_does_not_reproduce_has_a_bound_only_where_the_model_fits() -> None
     assert any("at most" in words for words in spread_words(whole.document()))
     assert only_if_right(lacking.joint.p_value, lacking.error_map.content)
     assert not any("at most" in words for words in spread_words(lacking.document()))
+
+
+def test_setups_of_which_nothing_was_read_are_not_counted() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=1)).session
+    one = session.with_readings(session.readings.select(session.readings.setup == 0))
+    assert f"in 1 setup ({session.setup_ids[0]})" in session_headline(one)

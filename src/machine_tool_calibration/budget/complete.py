@@ -22,7 +22,7 @@ from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.iso230_2 import of_diagonals
-from machine_tool_calibration.model.result import Identified, Result, map_rms
+from machine_tool_calibration.model.result import Identified, Result
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.planning.what_to_measure import conclude as conclude_from
 from machine_tool_calibration.session.contributor import Contributor
@@ -88,8 +88,8 @@ def completed_steps(done: Improvement, contributors: Sequence[Contributor], seed
     """The same with every step's result completed by the budget of its own model; as it is without contributors."""
 
     def complete(step: Step) -> Step:
-        result = completed(step.result, propagate(fitted_sessions(step.result), contributors, seed=seed))
-        return replace(step, result=result, map_uncertainty=map_rms(result.error_map.uncertainty))
+        budget = propagate(fitted_sessions(step.result), contributors, seed=seed)
+        return replace(step, result=completed(step.result, budget))
 
     return replace(done, steps=tuple(map(complete, done.steps))) if contributors else done
 

@@ -56,10 +56,9 @@ def tolerance(name: str, value: float | str, source: str = "") -> float:
     A SessionError: a text without a unit, or with one of another dimension; a ModelError: neither a number nor a
     text.
     """
+    if isinstance(value, bool) or not isinstance(value, str | float | int):
+        raise ModelError(f"{source}the tolerance of {name} must be a number or a text with its unit")
     if not isinstance(value, str):
-        try:
-            return float(value)
-        except TypeError:
-            raise ModelError(f"{source}the tolerance of {name} must be a number or a text with its unit") from None
+        return float(value)
     wanted = "angle" if unit_of_figure(name) == "rad" else "length"
     return quantity(value, wanted, f"{source}tolerance of {name}")

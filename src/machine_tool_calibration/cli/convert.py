@@ -143,7 +143,7 @@ def command(
     **foreign: Any,
 ) -> None:
     """Convert sessions, recordings and tables into one another, and tables of other programs into sessions."""
-    from machine_tool_calibration.recording.open import is_session_folder
+    from machine_tool_calibration.recording.open import is_session_folder, open_measurement
 
     sources, target = _sources_and_target(paths, dry_run=dry_run)
     source = sources[0]
@@ -172,7 +172,9 @@ def command(
     elif form in ("csv", "parquet"):
         document = _tables(source, target, form, from_session, topics)
     else:
-        document = _written(_trusted(_opened(source, topics), foreign), target, form, start, namespace)
+        document = _written(
+            _trusted(open_measurement(source, topics, check=False), foreign), target, form, start, namespace
+        )
     if as_json:
         shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -249,13 +251,6 @@ def _own_table(
     return read_own_table(table, record, str(described), parse_form(form))
 
 
-def _opened(source: Path, topics: dict[str, str]) -> Session:
-    """The measurement, unchecked: what is converted need not be enough for its method."""
-    from machine_tool_calibration.recording.open import open_measurement
-
-    return open_measurement(source, topics, check=False)
-
-
 def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
     """The session, with its sizes taken as they are where that was asked for."""
     if not foreign["trust_units"]:
@@ -293,6 +288,7 @@ def _check_ending(target: Path, form: str) -> None:
 
 
 def _tables(source: Path, target: Path, form: str, from_session: bool, topics: dict[str, str]) -> dict[str, Any]:
+    from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.recording.reader import BagReader
     from machine_tool_calibration.recording.tables import save_tables
 
@@ -300,7 +296,7 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, topics: d
     if target.exists() and not target.is_dir():
         raise CalibrationError(f"{target}: is there already; choose another name")
     if from_session or target.suffix.lower() == f".{form}":
-        session = _opened(source, topics)
+        session = open_measurement(source, topics, check=False)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}
     with shared.progress_bar() as progress:

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
-    from machine_tool_calibration.model.result import fits
+    from machine_tool_calibration.model.result import only_if_right
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
-    if fits(fit.p_value) != "bad":
+    if not only_if_right(fit.p_value, content):
         return None
     words = goodness_of_fit(
         {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}

@@ -93,13 +93,7 @@ def _not_themselves(
     """Which of the effects is not what is missing, and why: one at most, as without it the others may be.
 
     Of those that have no size beside the others, or that decay and take each other back, it is the one that is needed
-    least; else one that decays and explains less than a special case of it.
-
-    Args:
-        search: what was found.
-        before: fit without any of the effects.
-        names: ids of effects that are all in the model.
-        fit_with: the fit with effects.
+    least; else one that decays and explains less than a special case of it. The fit `before` has none of them.
     """
 
     def chi_square(ids: tuple[str, ...]) -> float:

@@ -17,6 +17,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions, gross_errors
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
@@ -32,8 +33,6 @@ from machine_tool_calibration.session.session import Session
 if TYPE_CHECKING:
     from pandas.core.groupby import DataFrameGroupBy
 
-# A reading with less than this share of itself in its residual cannot be judged.
-_LEAST_REDUNDANCY = 0.02
 # Readings that the model leaves of a part below which its scatter cannot be judged.
 _LEAST_LEFT = 0.5
 # Half the change of a reading per displacement of an axis, m/m (C: m/rad), from which the axis counts as sensed.
@@ -45,6 +44,14 @@ _WORST = 10
 _PART = [
     "name", "readings", "rms", "reduced_chi_square", "share", "mean", "mean_u", "slope", "slope_u", "worst_row",
 ]  # fmt: skip
+
+
+def one_below_the_other(labels: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of several sessions as one, with the session's label in the first column; that of one as it is."""
+    if len(frames) == 1:
+        return frames[0]
+    named = zip(labels, frames, strict=True)
+    return pd.concat([frame.assign(session=label)[["session", *frame]] for label, frame in named], ignore_index=True)
 
 
 @dataclass(frozen=True)
@@ -163,7 +170,7 @@ class JointComparison:
     @property
     def residuals(self) -> pd.DataFrame:
         """The readings of all sessions; NaN for what one of them did not record."""
-        return self.one_below_the_other([one.residuals for one in self.sessions])
+        return one_below_the_other(self.labels, [one.residuals for one in self.sessions])
 
     @property
     def parts(self) -> pd.DataFrame:
@@ -177,17 +184,12 @@ class JointComparison:
         """Setups of all sessions, worst first; shares of the sum of squares of all."""
         pairs = zip(self.sessions, self._weights.tolist(), strict=True)
         own = [one.setups.assign(share=weight * one.setups["share"]) for one, weight in pairs]
-        return _worst_first(self.one_below_the_other(own))
+        return _worst_first(one_below_the_other(self.labels, own))
 
     @property
     def worst(self) -> pd.DataFrame:
         """Readings with the largest studentized residuals."""
-        return _largest(self.one_below_the_other([one.worst for one in self.sessions]))
-
-    def one_below_the_other(self, tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
-        """The sessions' tables as one with the column `session`."""
-        named = pd.concat(dict(zip(self.labels, tables, strict=True)), names=["session"])
-        return named.reset_index("session").reset_index(drop=True)
+        return _largest(one_below_the_other(self.labels, [one.worst for one in self.sessions]))
 
     @property
     def _weights(self) -> Array:
@@ -230,7 +232,7 @@ def residual_table(fit: Fit) -> pd.DataFrame:
     readings, own, sigma = observations.readings, leverage(fit), fit.model.sigma
     ids = pd.Index(observations.session.setup_ids)
     with np.errstate(divide="ignore", invalid="ignore"):
-        studentized = np.where(1.0 - own > _LEAST_REDUNDANCY, fit.residuals / sigma / np.sqrt(1.0 - own), np.nan)
+        studentized = np.where(1.0 - own > priors.JUDGED, fit.residuals / sigma / np.sqrt(1.0 - own), np.nan)
     out: dict[str, Any] = {
         "row": readings.row,
         "setup": pd.Categorical.from_codes(readings.setup, ids).remove_unused_categories(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,14 +25,26 @@ from machine_tool_calibration.words import say
 class Step:
     """A model on the way."""
 
+    before: Step | None  # the model that it was made from; None for the first
     change: str  # what it has and the one before has not: an effect's id, or words
     chosen: FitRequest  # it, and the readings
     result: Result | JointResult  # of its identification
-    map_rms: float | None  # RMS length of the position errors at the map's points, m; None where the method maps none
-    map_uncertainty: float | None  # RMS length of their standard uncertainty, as it is published, m
-    # RMS length by which those of the model alone moved against the step before, as in a diagnosis, m
-    map_change: float | None
     set_aside: tuple[tuple[int, ...], ...]  # rows of the readings of each session that were left out
+
+    @cached_property
+    def map_rms(self) -> float | None:
+        """RMS length of the position errors at the map's points, m; None where the method maps none."""
+        return map_rms(self.result.error_map.error)
+
+    @cached_property
+    def map_uncertainty(self) -> float | None:
+        """RMS length of their standard uncertainty, as it is published, m."""
+        return map_rms(self.result.error_map.uncertainty)
+
+    @cached_property
+    def map_change(self) -> float | None:
+        """RMS length by which those of the model alone moved against the step before, as in a diagnosis, m."""
+        return None if self.before is None else map_change(self.before.result.error_map, self.result.error_map)
 
     @property
     def label(self) -> str:
@@ -120,10 +133,10 @@ def improve(
     chosen = replace(FitRequest.of(subject), keep_all=True)
     found = diagnose(chosen, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
-    first = step_after(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
+    first = Step(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
     steps = [first]
     for change, wider in accepted_models(found, lambda what, share: progress(what, 0.9 + 0.1 * share)):
-        steps.append(step_after(steps[-1], change, wider, identify_sessions(wider), aside))
+        steps.append(Step(steps[-1], change, wider, identify_sessions(wider), aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 
@@ -136,54 +149,16 @@ def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) ->
     """
     start = found.chosen
     if found.gross_errors:
-        yield words_set_aside(len(found.gross_errors)), start
+        yield say("step.set_aside", n=len(found.gross_errors)), start
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
         yield name, start.adding(found.accepted[: k + 1])
 
 
-def words_set_aside(count: int) -> str:
-    """What a model without some of the readings has changed, in words."""
-    return say("step.set_aside", n=count)
-
-
-def step_after(
-    before: Step | None,
-    change: str,
-    chosen: FitRequest,
-    result: Result | JointResult,
-    aside: tuple[tuple[int, ...], ...],
-) -> Step:
-    """A model as a step of a way.
-
-    Args:
-        before: the step before it; None for the first.
-        change: what it has and that one has not: an effect's id, or words.
-        chosen: it, and the readings.
-        result: of its identification.
-        aside: rows of the readings of each session that were left out.
-    """
-    return Step(
-        change=change,
-        chosen=chosen,
-        result=result,
-        map_rms=map_rms(result.error_map.error),
-        map_uncertainty=map_rms(result.error_map.uncertainty),
-        map_change=None if before is None else map_change(before.result.error_map, result.error_map),
-        set_aside=aside,
-    )
-
-
 def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, number: int) -> Entry:
     """A step as an entry of a history, which gives it its own number.
 
-    Args:
-        step: the model.
-        data: fingerprint of all readings.
-        each: fingerprints of the readings of each session.
-        made: date and time, ISO 8601.
-        by: the command.
-        number: of the entry.
+    `data` is the fingerprint of all readings, `each` has those of each session; `made` is ISO 8601, `by` the command.
     """
     joint, used = step.result.joint, step.result.effects
     p_value, single = joint.p_value, step.result if isinstance(step.result, Result) else None
@@ -215,8 +190,5 @@ def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, 
         map_rms=step.map_rms,
         map_uncertainty_rms=step.map_uncertainty,
         map_change_rms=step.map_change,
-        parameters=tuple(
-            Coefficient(name=p.name, value=p.value, standard_uncertainty=p.standard_uncertainty, unit=p.unit)
-            for p in step.parameters
-        ),
+        parameters=tuple(Coefficient(**p.document()) for p in step.parameters),
     )

@@ -32,9 +32,9 @@ _EDGE, _MOST_STEPS = 1e-3, 40
 _LEAST_WEIGHT = 1e-4
 
 
-def _log_prior(lattice: Array) -> Array:
+def log_size_prior(lattice: Array, scale: float = priors.IRREPRODUCIBILITY) -> Array:
     """(1 + sizes,) logarithm of the prior of size zero and of those of a lattice: a half-Cauchy density in ln(size)."""
-    density = lattice / (1.0 + (lattice / priors.IRREPRODUCIBILITY) ** 2)
+    density = lattice / (1.0 + (lattice / scale) ** 2)
     return np.asarray(np.log(np.append(priors.ALL_REPRODUCES, (1.0 - priors.ALL_REPRODUCES) * density / density.sum())))
 
 
@@ -225,7 +225,7 @@ class _Sizes:
         lattice = first * factor ** (np.arange(float(finer * _MOST_STEPS)) / finer)
         known = [(list(own), [float(np.log(p)) for p in own.values()]) for own in gram.sizes]
         self.values = [[0.0, *lattice.tolist()]] * families + [sizes for sizes, _ in known]
-        self.priors = [_log_prior(lattice).tolist()] * families + [logs for _, logs in known]
+        self.priors = [log_size_prior(lattice).tolist()] * families + [logs for _, logs in known]
         self.first = [finer * count + 1] * families + [len(sizes) for sizes, _ in known]
         self.log_evidence = log_evidence
         self.found: dict[tuple[int, ...], tuple[tuple[float, ...], float, float]] = {}

@@ -19,7 +19,7 @@ from machine_tool_calibration.budget.contributor import contributors_of, known_c
 from machine_tool_calibration.budget.propagate import Progress, propagate
 from machine_tool_calibration.budget.published import check_names
 from machine_tool_calibration.budget.tolerances import tolerance
-from machine_tool_calibration.diagnosis.compare import compare, residual_table
+from machine_tool_calibration.diagnosis.compare import compare, one_below_the_other, residual_table
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
@@ -28,7 +28,7 @@ from machine_tool_calibration.interface.budget import Budget, Conformity
 from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
 from machine_tool_calibration.interface.features import Features
 from machine_tool_calibration.interface.map_comparison import MapComparison
-from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
+from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Answer, chosen, require_kind, require_whole
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest

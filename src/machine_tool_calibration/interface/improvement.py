@@ -12,7 +12,7 @@ import pandas as pd
 
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.improve import Improvement as Done
-from machine_tool_calibration.diagnosis.improve import Step, step_after
+from machine_tool_calibration.diagnosis.improve import Step
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -150,6 +150,6 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
         added = [name for name in fit.effects if before and name not in before.result.effects]
         change = (" + ".join(added) or f"model {fit.model}") if before else ""
         none = tuple(() for _ in fit.chosen.sessions)
-        steps.append(step_after(before, change, fit.chosen, fit.result, none))
+        steps.append(Step(before, change, fit.chosen, fit.result, none))
     declared = noise_of(models[0].result.joint.fits[0]).declared
     return notebook(draw_steps(steps, declared))

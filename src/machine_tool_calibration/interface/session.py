@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from machine_tool_calibration.diagnosis.compare import one_below_the_other
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown
@@ -87,14 +88,6 @@ class Measurement(Shown):
 
 Source = str | os.PathLike[str] | Session | Measurement
 """What can be loaded: a path, or a measurement that is in memory already."""
-
-
-def one_below_the_other(labels: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Tables of several sessions as one, with the session's label in the first column; that of one as it is."""
-    if len(frames) == 1:
-        return frames[0]
-    named = zip(labels, frames, strict=True)
-    return pd.concat([frame.assign(session=label)[["session", *frame]] for label, frame in named], ignore_index=True)
 
 
 def load(*sources: Source | Sequence[Source]) -> Measurement:

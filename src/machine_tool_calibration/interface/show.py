@@ -8,7 +8,7 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
-from functools import cached_property, partial
+from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any, Self
 
@@ -94,15 +94,15 @@ def chosen(figures: Mapping[str, Figure], name: str | None) -> Figure:
 
 def notebook(figure: Figure) -> Figure:
     """The same figure, which a notebook shows as a picture also where pyplot was never imported."""
+
     # A notebook asks the object itself: only pyplot would tell it how to show figures, and pyplot is not needed here.
-    vars(figure)["_repr_png_"] = partial(_png, figure)
+    def png() -> bytes:
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", dpi=100)
+        return picture.getvalue()
+
+    vars(figure)["_repr_png_"] = png
     return figure
-
-
-def _png(figure: Figure) -> bytes:
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=100)
-    return picture.getvalue()
 
 
 MOST_DRAWS = 100_000

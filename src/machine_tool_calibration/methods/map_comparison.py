@@ -17,6 +17,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_mo
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
+from machine_tool_calibration.session.session import refuse_repeated
 
 LEVEL = 0.01
 """p-value below which maps contradict each other."""
@@ -211,6 +212,10 @@ def compare_fits(
     The uncertainties are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
     ModelError says that no point, or no direction at any, is in both maps.
     """
+    sessions = [[fit.model.observations.session for fit in one.joint.fits] for one in (first, second)]
+    for one in sessions[0]:
+        for other in sessions[1]:
+            refuse_repeated((one, other), labels)
     maps = first.error_map, second.error_map
     pairs = common_points(*(states(own.points, own.content) for own in maps))
     if not len(pairs[0]):

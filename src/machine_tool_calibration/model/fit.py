@@ -294,7 +294,7 @@ def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None
     """
     problem, solution = joint.assembly.problem, joint.solution
     parts = [
-        _ShiftedPart(part, shift / model.sigma)
+        ShiftedPart(part, shift / model.sigma)
         for part, shift, model in zip(problem.parts, shifts, joint.assembly.models, strict=True)
     ]
     priors = problem.priors
@@ -319,7 +319,7 @@ def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[Joi
     for _ in range(count):
         theta = published.theta + root @ rng.standard_normal(m)
         # A point's own unknowns follow the shared ones, and have the noise of the point's own readings besides.
-        parts = [_ShiftedPart(p, marginal.scatter * rng.standard_normal(p.n_readings)) for p in marginal.parts]
+        parts = [ShiftedPart(p, marginal.scatter * rng.standard_normal(p.n_readings)) for p in marginal.parts]
         wide = Problem(parts, m, np.zeros((0, m)), np.zeros(0))
         with single_blas():
             local = local_steps(wide, start, joint.solution.local, theta - start)
@@ -343,7 +343,7 @@ def covariance_of(joint: JointFit, size: Sequence[Array]) -> Array:
     return np.asarray(solution.covariance @ total[:m, :m] @ solution.covariance)
 
 
-class _ShiftedPart(PartAround):
+class ShiftedPart(PartAround):
     """Something is added to each reading, over its standard uncertainty."""
 
     def __init__(self, inner: Part, by: Array) -> None:

@@ -133,7 +133,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         lacking = [_imperfect(one) for one in observed]
         families = [own + further for own, further in zip(families, lacking, strict=True)]
     parts, place, names = _widened(problem, families)
-    offset = np.concatenate([np.zeros(0, dtype=bool), *(f.offsets for own in families for f in own if f.name in names)])
+    offset = np.concatenate([np.zeros(0, dtype=bool), *(f.offsets for own in families for f in own)])
     u = len(place)
     wide = Problem(
         parts,
@@ -169,13 +169,11 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         local=local_steps(wide, theta, solution.local, mean) if mean.any() else solution.local,
     )
     functions = tuple(
-        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
+        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own)])
         for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
     )
-    own, squares = tuple(parts), found.squares
-    return MarginalFit(
-        own, published, found.scatter, found.sizes, found.random, functions, squares, found.ratios, by_memory
-    )
+    told = (found.scatter, found.sizes, found.random)
+    return MarginalFit(tuple(parts), published, *told, functions, found.squares, found.ratios, by_memory)
 
 
 def _with_its_own(covariance: Array, known: PriorRows, scatter: float) -> Array:
@@ -281,7 +279,6 @@ def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[
     names = tuple(dict.fromkeys(family.name for own in families for family in own))
     parts, place, first = [], [np.zeros(0, dtype=np.int64)], problem.size
     for part, own in zip(problem.parts, families, strict=True):
-        own = tuple(family for family in own if family.name in names)
         if own:
             part = WidenedPart(part, [(family.group, family.shapes) for family in own], first)
             first += part.count
@@ -404,12 +401,8 @@ def _scatter(squares: float, dof: int, again: tuple[float, float] = (0.0, 0.0)) 
 
     Less scatter makes nothing better: an instrument may be off by the same amount everywhere. Where readings of the
     same thing agree better than the model fits, what is left is of the places, of which there are fewer than readings:
-    it scatters by the mean square of the lack of fit (Draper and Smith 1998, section 2.1).
-
-    Args:
-        squares: weighted sum of squared residuals that is left beside what does not reproduce.
-        dof: its degrees of freedom.
-        again: the same of readings of the same thing alone.
+    it scatters by the mean square of the lack of fit (Draper and Smith 1998, section 2.1). Sum of weighted squares and
+    degrees of freedom are what is left beside what does not reproduce; `again` those of readings of the same thing.
     """
     variance = float(noise_variance(squares, dof))
     if dof > again[1] > 0:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.estimation import priors
@@ -175,14 +176,8 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         left.append(both[-1])
     if dof < priors.ENOUGH_REPEATS:
         return None
-    own = [len(c) for c in columns]
-    whole = np.zeros((sum(own) + 1, sum(own) + 1))
-    first = 0
-    for c, r in zip(columns, left, strict=True):
-        place = np.append(np.arange(first, first + len(c)), len(whole) - 1)
-        both = np.concatenate([c, r[None]])
-        whole[np.ix_(place, place)] += both @ both.T
-        first += len(c)
+    whole = block_diag(*(c @ c.T for c in columns), sum(r @ r for r in left))
+    whole[-1, :-1] = whole[:-1, -1] = np.concatenate([c @ r for c, r in zip(columns, left, strict=True)])
     return PureError(whole, dof, lost)
 
 

@@ -35,11 +35,6 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Readings, Session
 
-POWER = 0.8
-"""With which an effect of the smallest detectable size is found."""
-
-# Share of a column's squared norm that the model must leave for the effect to be seen.
-_LEAST_SHARE_LEFT = 1e-4
 # Numbers in the columns of effects that are kept in memory at a time.
 _HELD = 8_000_000
 
@@ -50,9 +45,9 @@ class Visible:
 
     effect: str  # its id
     coefficient: str  # the one of its coefficients that is seen best, the others being zero
-    size: float | None  # smallest detectable size, in the unit; None if the model's own unknowns take the effect up
+    size: float  # smallest detectable size, in the unit
     unit: str  # SI
-    reading: float | None  # largest change of a reading that this makes, m
+    reading: float  # largest change of a reading that this makes, m
 
 
 @dataclass(frozen=True)
@@ -94,10 +89,10 @@ class _Screened:
         for named, inner, seen, largest in self.blocks:
             strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
             for k in np.flatnonzero(seen).tolist():
-                signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(self.count), POWER)
+                signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(self.count))
                 size = float(signal / np.sqrt(inner[k]))
                 reading = size * float(largest[k])
-                if best is None or best.reading is None or reading < best.reading:
+                if best is None or reading < best.reading:
                     best = Visible(self.effect, named[k].name, size, named[k].unit, reading)
         return best
 
@@ -126,7 +121,7 @@ def _outside(pool: Pool, candidates: Sequence[Candidate]) -> list[_Screened]:
     stacked = [block.columns for candidate in candidates for block in candidate.shapes]
     projected = pool.screen(np.concatenate(stacked), random=True)
     inner = np.diag(projected.gram)[:-1]
-    seen = np.asarray(inner > _LEAST_SHARE_LEFT * projected.squares[:-1])
+    seen = np.asarray(inner > priors.ABSORBED * projected.squares[:-1])
     ends = np.cumsum([len(columns) for columns in stacked])[:-1]
     largest = (np.abs(columns).max(axis=1) for columns in stacked)
     each = zip(np.split(inner, ends), np.split(seen, ends), largest, strict=True)
@@ -279,7 +274,7 @@ class Forecast:
             "absorbed": list(self.absorbed),
             "excluded": dict(self.excluded),
             "dominant": None if self.dominant is None else self.dominant.document(),
-            "power": POWER,
+            "power": priors.DETECTED,
             "assumed": {"warming_per_hour": self.warming, "spread_between_setups": 0.0, "machine": "without errors"},
         }
 

@@ -142,8 +142,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
     points = _points(session, description, rows)
     middle = points.mean(axis=0)
     arm = old[used] - middle
-    angle = np.sort(np.arctan2(arm[:, 1], arm[:, 0]))
-    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
+    angle, gaps = gaps_around(np.arctan2(arm[:, 1], arm[:, 0]))
     at = angle[np.argmax(gaps)] + gaps.max() / 2
     reach = float(np.median(np.hypot(arm[:, 0], arm[:, 1])))
     height = float(np.median(old[used, 2]))

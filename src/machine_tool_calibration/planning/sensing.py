@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, last_sign
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import gram, project
 from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.fitted import FitRequest, joint_models
@@ -107,10 +108,6 @@ def appended(
     return replace(session, description=description, readings=joined([old, new])), seconds
 
 
-# Share of an effect's squared norm outside the model below which nothing of it is seen (1 % of the norm).
-_ABSORBED = 1e-4
-
-
 @dataclass(frozen=True)
 class SizedEffect:
     """An effect of a certain size."""
@@ -153,7 +150,7 @@ class Sensed:
         """(k,) squared norm outside the model of each column of an effect; 0 where the model absorbs it."""
         place = self.place[name]
         own = np.diag(self.gram)[place]
-        return np.asarray(np.where(own > _ABSORBED * self.squares[place], own, 0.0))
+        return np.asarray(np.where(own > priors.ABSORBED * self.squares[place], own, 0.0))
 
     def cosine(self, one: str, other: str) -> float:
         """Share of one effect's signal outside the model that the other reproduces."""
@@ -179,7 +176,7 @@ def _inverse(inner: Array, squares: Array) -> Array:
     scale = np.sqrt(np.maximum(squares, np.finfo(float).tiny))
     scaled = inner / np.outer(scale, scale)
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-    keep = values > _ABSORBED
+    keep = values > priors.ABSORBED
     half = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
     return np.asarray(half @ half.T)
 

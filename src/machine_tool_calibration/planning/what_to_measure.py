@@ -22,9 +22,6 @@ from machine_tool_calibration.planning.options import Option, Proposal, further_
 from machine_tool_calibration.planning.sensing import Sensed, SizedEffect, sense
 from machine_tool_calibration.words import together
 
-ALIKE = 0.9
-"""Cosine from which two effects count as confounded."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Separation(Proposal):
@@ -41,7 +38,7 @@ class Separation(Proposal):
     @property
     def separates(self) -> bool:
         """Whether they would no longer look alike."""
-        return self.kind is not None and self.cosine_after < ALIKE
+        return self.kind is not None and self.cosine_after < priors.ALIKE
 
 
 @dataclass(frozen=True, kw_only=True)

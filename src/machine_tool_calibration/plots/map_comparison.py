@@ -33,11 +33,9 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
     key = "picture.maps_agree" if comparison.agree else "picture.maps_differ"
-    numbers = {"n": comparison.beyond, "count": comparison.count}
-    if comparison.p_value is None:
-        figure = style.new_figure(12.4, 6.4, say(key, **numbers))
-    else:
-        figure = style.new_figure(12.4, 6.4, say(f"{key}_p", p=p_value(comparison.p_value), **numbers))
+    chance = {} if comparison.p_value is None else {"p": p_value(comparison.p_value)}
+    title = say(f"{key}_p" if chance else key, n=comparison.beyond, count=comparison.count, **chance)
+    figure = style.new_figure(12.4, 6.4, title)
     left, right = figure.subplots(1, 2)
     if len(axes) > 1:
         _places(left, comparison, (int(axes[0]), int(axes[1])))

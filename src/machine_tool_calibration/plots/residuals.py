@@ -73,7 +73,7 @@ def arrow_scale(position: Array, arrow: Array, same: IntArray) -> tuple[float, f
     Places and arrows are (n, 3), m; readings that share an index in `same` (n,) repeat each other, and their mean is
     drawn.
     """
-    means = _means(arrow, np.unique(same, return_inverse=True)[1])
+    means = _means(arrow, same)
     # The scale is that of the bulk: a single outlier may leave the panel.
     long = float(np.quantile(np.linalg.norm(means, axis=1), 0.98))
     return max(float(np.ptp(position, axis=0).max()), 1e-6), max(long, 1e-12)
@@ -88,8 +88,7 @@ def draw_arrows(
     gives.
     """
     extent, long = scaled
-    _, number = np.unique(same, return_inverse=True)
-    place, arrow, sign = (_means(values, number) for values in (place, arrow, sign[:, None]))
+    place, arrow, sign = (_means(values, same) for values in (place, arrow, sign[:, None]))
     sign = sign[:, 0]
     if len(place) > _ARROWS:
         keep = np.linspace(0, len(place) - 1, _ARROWS).astype(int)

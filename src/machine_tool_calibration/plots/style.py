@@ -95,9 +95,9 @@ def name_axes(panel: Axes, i: int, j: int, letters: str = "xyz") -> None:
     panel.set(xlabel=f"{letters[i]}, mm", ylabel=f"{letters[j]}, mm")
 
 
-def magnification(largest: float, extent: float, share: float) -> float:
-    """A round number that makes the largest error at most that share of an extent; 1 where there is no error."""
-    return round_down(share * extent / largest) if largest > 0 and extent > 0 else 1.0
+def magnification(largest: float, extent: float, share: float, otherwise: float = 1.0) -> float:
+    """A round number that makes the largest error at most that share of an extent; another where there is none."""
+    return round_down(share * extent / largest) if largest > 0 and extent > 0 else otherwise
 
 
 def numbers(values: Any) -> Array:

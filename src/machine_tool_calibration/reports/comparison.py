@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.build import error_map, suspicious_fits
 from machine_tool_calibration.model.result import only_if_right
@@ -26,10 +27,6 @@ from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Verbatim, say, together
 
-# p-value at which repeats speak against the model.
-_LACK = 0.003
-# Share of the misfit that repeats must show to be called as large.
-_NOISE = 0.7
 # How much worse than all readings together a setup must be to be named.
 _WORSE = 1.15
 
@@ -70,12 +67,12 @@ def _repeats(overall: Overall, noise: Noise, explained: bool) -> str:
     size = _of_repeats(noise)
     if size is None:
         return say("compared.few_repeats")
-    if noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK:
+    if noise.lack_of_fit_p is not None and noise.lack_of_fit_p < priors.LACK_OF_FIT_P:
         key = "lack"
     elif explained:
         key = "scatter"
     else:
-        key = "less" if size < _NOISE * overall.ratio * noise.declared else "as_much"
+        key = "less" if size < priors.AS_NOISY * overall.ratio * noise.declared else "as_much"
     return say(f"compared.{key}", repeats=quantity(size, "m"), declared=quantity(noise.declared, "m"))
 
 

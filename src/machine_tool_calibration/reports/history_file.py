@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import yaml
-from pydantic import ValidationError
 
 from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import is_session_folder
-from machine_tool_calibration.session.record import first_defect
+from machine_tool_calibration.session.record import validated
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_yaml
 
 if TYPE_CHECKING:
@@ -84,10 +83,9 @@ def read_history(path: Path) -> History:
     if not isinstance(document.value, dict):
         raise SessionError(f"{path}: is no history of models; move it away to start a new one")
     try:
-        return History.model_validate(document.value)
-    except ValidationError as error:
-        what = first_defect(error, str(path), document, History)
-        raise SessionError(f"{what}; mend the file, or move it away to start a new history") from None
+        return validated(History, document.value, str(path), document)
+    except SessionError as error:
+        raise SessionError(f"{error}; mend the file, or move it away to start a new history") from None
 
 
 def update_history(path: Path, change: Callable[[History], History]) -> History:

@@ -258,7 +258,7 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
 
 def session_headline(session: Session) -> str:
     """What was measured, in one line."""
-    ids = session.setup_ids
+    ids = [session.setup_ids[k] for k in np.unique(session.readings.setup)]  # of which something was read
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
     return say(
         "result.headline",

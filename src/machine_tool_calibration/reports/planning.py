@@ -61,7 +61,7 @@ def forecast_parts(found: Forecast) -> Iterator[Part]:
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
         yield say("forecast.undetermined", names=names, why=why)
     sizes = tuple(
-        (entry.effect, f"{entry.coefficient} = {quantity(entry.size or 0.0, entry.unit)}", micrometres(entry.reading))
+        (entry.effect, f"{entry.coefficient} = {quantity(entry.size, entry.unit)}", micrometres(entry.reading))
         for entry in found.visible
     )
     if sizes:

@@ -12,7 +12,7 @@ which is a limit for |z| (Box and Tiao 1968). Several readings are judged togeth
 those that a robust fit suspects, then those beside the set at hand that stand out or explain as much, until the set
 stays. What a smooth course of the run explains is no gross error, and where a session is full of such courses, its
 noise is what is left about them. Readings of which nothing says which is wrong (look-alikes) are all set aside, and
-named so. All numbers that decide stand in `residuals/agreement.py`.
+named so. All numbers that decide stand in `estimation/priors.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,11 +24,11 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.problem import Part, PartAround
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
+from machine_tool_calibration.model.fit import ShiftedPart
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.agreement import (
     COMPARED,
@@ -144,19 +144,6 @@ class _Fit:
         return of
 
 
-class _WithoutCourses(PartAround):
-    """Readings from which something known was subtracted."""
-
-    def __init__(self, inner: Part, course: Array) -> None:
-        super().__init__(inner)
-        self._course = course
-
-    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
-        """The part's rows with other residuals."""
-        rows, index = self.inner.rows(group, chunk, theta, local), self.groups[group].rows[:, chunk]
-        return replace(rows, residual=rows.residual - np.where(index >= 0, self._course[index], 0.0))
-
-
 class _Search:
     """The search in one model.
 
@@ -232,7 +219,7 @@ class _Search:
         self.explained = neighbours.explained(every, off, noise.scale, noise.limit) & of_a_machine
         if self.pattern:
             course = neighbours.course(every, off)
-            self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course
+            self.part, off = ShiftedPart(self.part, -course * np.sqrt(spare)), off - course
         size = np.abs(off)
         suspected = np.flatnonzero(size > priors.SUSPECTED * max(noise.scale, 0.5))
         most = int(priors.SINGLE * self.n)

@@ -67,11 +67,8 @@ class Pool:
     @cached_property
     def run(self) -> IntArray:
         """(n,) runs, numbered over all sessions."""
-        out, first = [], 0
-        for o in self.observations:
-            out.append(o.run + first)
-            first += int(o.run.max(initial=-1)) + 1
-        return np.concatenate(out)
+        counts = np.cumsum([0, *(int(o.run.max(initial=-1)) + 1 for o in self.observations)])
+        return np.concatenate([o.run + first for o, first in zip(self.observations, counts, strict=False)])
 
     @cached_property
     def setup(self) -> IntArray:
@@ -109,14 +106,11 @@ class Pool:
                 mine = family.columns()
                 columns.append(self.only(mine * self.sigma[piece], piece))
                 place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
-        if self._imperfect is not None:
-            columns.append(self._imperfect)
-            place.append(np.full(len(self._imperfect), len(names), dtype=np.int64))
-            names = (*names, IMPERFECT)
-        if self._random is not None:
-            columns.append(self._random)
-            place.append(np.full(len(self._random), len(names), dtype=np.int64))
-            names = (*names, RANDOM)
+        for further, name in ((self._imperfect, IMPERFECT), (self._random, RANDOM)):
+            if further is not None:
+                columns.append(further)
+                place.append(np.full(len(further), len(names), dtype=np.int64))
+                names = (*names, name)
         return np.concatenate(columns), np.concatenate(place), names
 
     @cached_property
@@ -138,9 +132,9 @@ class Pool:
     @property
     def sizes(self) -> tuple[dict[float, float], ...]:
         """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
-        imperfect = ({} if self._imperfect is None else priors.IMPERFECTION_SIZES,)
+        imperfect = () if self._imperfect is None else (priors.IMPERFECTION_SIZES,)
         random = () if self._random is None or self.fit.random is None else (self.fit.random.sizes,)
-        return (*(own for own in imperfect if own), *random)
+        return (*imperfect, *random)
 
     def _columns_of(self, names: Sequence[str]) -> Array:
         """(q, n) change of each reading per unit of unknowns of the model's terms."""

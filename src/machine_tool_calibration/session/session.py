@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, in_order_of_appearance
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, groups, in_order_of_appearance
 from machine_tool_calibration.errors import SessionError
 
 if TYPE_CHECKING:
@@ -136,10 +136,6 @@ class Session:
         return replace(self, sound=self.sound | rows)
 
 
-# Large odd numbers: products and sums wrap around in 64 bits.
-_MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
-
-
 def measurement_name(path: str | os.PathLike[str]) -> str:
     """Name of a measurement: that of its folder, or of its recording without `.mcap`."""
     real = Path(os.path.realpath(path))  # not Path.resolve, which raises a RuntimeError for a link to itself
@@ -176,36 +172,8 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     Positions that are equal to the nanometre (angles to the nanoradian) are one place; d is at most 3.
     """
     keys = np.round(position * 1e9).astype(np.int64)
-    # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
-    code = keys @ _MIX[: keys.shape[1]]
-    place = _numbered(code)
-    first = _first(place)
-    if not np.array_equal(keys[first][place], keys):
-        by_rows = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-        place = _numbered(by_rows)
-        first = _first(place)
-    return first, place
-
-
-# Values from which hashing saves more than pandas takes to be imported.
-_PANDAS_VALUES = 1_000_000
-
-
-def _numbered(code: IntArray) -> IntArray:
-    """Number of each value, in the order in which values come first."""
-    if len(code) > _PANDAS_VALUES:
-        import pandas as pd
-
-        return np.asarray(pd.factorize(code)[0], dtype=np.int64)
-    return in_order_of_appearance(code)
-
-
-def _first(place: IntArray) -> IntArray:
-    """Of places numbered in the order of their first reading, that reading."""
-    first = np.empty(int(place.max(initial=-1)) + 1, dtype=np.int64)
-    # Of several the last assigned stays: backwards, so that it is the first.
-    first[place[::-1]] = np.arange(len(place))[::-1]
-    return first
+    place = in_order_of_appearance(groups(*keys.T))
+    return np.unique(place, return_index=True)[1], place
 
 
 def assemble(

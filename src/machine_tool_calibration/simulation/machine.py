@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
@@ -20,7 +21,6 @@ from machine_tool_calibration.simulation.motions import (
     COMPONENTS,
     AxisMotion,
     Table,
-    matrix,
     motion_names,
     rotate,
     turn,
@@ -126,7 +126,7 @@ class VirtualMachine:
         for axis in self._directions:
             error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
             if error is not None:
-                total = total @ matrix(error[:, 3:])
+                total = total @ Rotation.from_rotvec(error[:, 3:]).as_matrix()
         return total
 
     def carried(self, command: Array, vector: Array, errors: Mapping[str, Array] | None = None) -> Array:

@@ -25,33 +25,10 @@ def cross(a: Array, b: Array) -> Array:
 
 def rotate(vector: Array, rotation: Array) -> Array:
     """Vectors (…, 3) turned by rotation vectors (…, 3), axis times angle, rad, right-handed (Rodrigues' formula)."""
-    angle = _angle(rotation)
-    first = cross(rotation, vector)
-    turned: Array = vector + np.sin(angle) / angle * first + _versine(angle) * cross(rotation, first)
-    return turned
-
-
-def matrix(rotation: Array) -> Array:
-    """(…, 3, 3) matrices of the rotation vectors (…, 3), rad."""
-    angle = _angle(rotation)[..., None]
-    skew = np.zeros((*rotation.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        skew[..., i, j], skew[..., j, i] = -rotation[..., k], rotation[..., k]
-    turned: Array = np.eye(3) + np.sin(angle) / angle * skew + _versine(angle) * (skew @ skew)
-    return turned
-
-
-def _angle(rotation: Array) -> Array:
-    """(…, 1) length of rotation vectors; never zero, where sin(a)/a and (1 - cos(a))/a^2 have their limits."""
-    square = rotation[..., 0] ** 2 + rotation[..., 1] ** 2 + rotation[..., 2] ** 2
-    length: Array = np.sqrt(np.maximum(square, 1e-30))[..., None]
-    return length
-
-
-def _versine(angle: Array) -> Array:
-    """(1 - cos(a)) / a^2; by the half angle it keeps its digits where the angle is small."""
-    half: Array = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
-    return half
+    # Never zero, where sin(a)/a and (1 - cos(a))/a^2 have their limits; the half angle keeps the digits of the latter.
+    angle = np.sqrt(np.maximum(np.sum(rotation**2, axis=-1, keepdims=True), 1e-30))
+    first, versine = cross(rotation, vector), 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    return np.asarray(vector + np.sin(angle) / angle * first + versine * cross(rotation, first))
 
 
 def turn(vector: Array, axis: str, angle: Array | float) -> Array:

@@ -12,7 +12,8 @@ from scipy.special import logsumexp
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.budget.conformity import unit_of_figure
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.estimation.priors import ACCEPTED, ALL_REPRODUCES, SCALE_STEP, SMALLEST_SIGNAL, SURE
+from machine_tool_calibration.estimation.marginal import log_size_prior
+from machine_tool_calibration.estimation.priors import ACCEPTED, SCALE_STEP, SMALLEST_SIGNAL, SURE
 from machine_tool_calibration.trends.logbook import Entry
 
 ALARM = SURE
@@ -130,8 +131,7 @@ def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) 
 
 def _cases(ways: int) -> list[_Case]:
     """Every spread, each without and, of several ways of measuring, with shifts of every size."""
-    density = _SPREADS[1:] / (1.0 + (_SPREADS[1:] / SPREAD) ** 2)
-    weights = np.concatenate([[ALL_REPRODUCES], (1.0 - ALL_REPRODUCES) * density / density.sum()])
+    weights = np.exp(log_size_prior(_SPREADS[1:], SPREAD))
     out = []
     for spread, weight in zip(_SPREADS.tolist(), weights.tolist(), strict=True):
         size = float(np.sqrt(1.0 + spread**2))

@@ -9,10 +9,10 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange
 
-from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.goodness import negative_words
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
+from machine_tool_calibration.words import say
 from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.own_effect import OwnEffect, addable
@@ -161,7 +161,7 @@ class DiagnosePage:
         moved = trial.step.map_change
         words = f"With {name}: {sizes} (95 %); "
         if trial.aside != now.aside:  # what falls and moves then is not the effect's alone
-            aside = f"{words_set_aside(len(trial.aside))} (now {len(now.aside)})"
+            aside = f"{say('step.set_aside', n=len(trial.aside))} (now {len(now.aside)})"
             words += f"the residual is {quantity(then.rms_residual, 'm')} RMS, with {aside}"
         else:
             words += residual_change(now.fit.rms_residual, then.rms_residual)

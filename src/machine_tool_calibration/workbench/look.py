@@ -16,8 +16,8 @@ from bokeh.models import ColumnDataSource, HoverTool, Span
 from bokeh.plotting import figure
 
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.plots import style
 from machine_tool_calibration.plots.residuals import color as setup_color
-from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.reports.tables import TextTable
 
 CSS = """
@@ -289,7 +289,7 @@ def magnification(maps: Sequence[ErrorMap]) -> float:
     """A round one in which the largest error of several maps of the same places can be seen; 0 if there is none."""
     extent = max((float(np.ptp(one.points, axis=0).max()) for one in maps if len(one.points)), default=0.0)
     largest = max((float(np.linalg.norm(np.nan_to_num(one.error), axis=1).max(initial=0.0)) for one in maps), default=0)
-    return round_down(_LENGTH * extent / largest) if largest > 0 and extent > 0 else 0.0
+    return style.magnification(largest, extent, _LENGTH, 0.0)
 
 
 def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of, step_after, words_set_aside
+from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -29,6 +29,7 @@ from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
+from machine_tool_calibration.words import say
 
 Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
@@ -139,7 +140,7 @@ class Subject:
         chosen = replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True)
         result = complete.identify(chosen)
         rows = tuple(self._rows(k, aside) for k in range(len(self.first)))
-        step = step_after(before.step if before else None, words, chosen, result, rows)
+        step = Step(before.step if before else None, words, chosen, result, rows)
         return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept, found=found or {})
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str], found: Mapping[int, float]) -> list[Model]:
@@ -220,7 +221,7 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
         none = frozenset[int]()
         models.append(subject.tried(None, "", first, none, none, found))
         if found:
-            words = words_set_aside(len(found))
+            words = say("step.set_aside", n=len(found))
             models.append(subject.tried(models[0], words, first, frozenset(found), none, found))
     return Opened(subject, prints, models, history, remark)
 

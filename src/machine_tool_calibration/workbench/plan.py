@@ -11,7 +11,7 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.dominant import ANGULAR
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.residuals import color as setup_color
-from machine_tool_calibration.plots.style import round_down, spaced
+from machine_tool_calibration.plots.style import magnification, spaced
 from machine_tool_calibration.reports.planning import outlook_table
 from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
@@ -171,7 +171,7 @@ class PlanPage:
         self._draw_places(then)
         largest = max(float(np.nanmax(one.uncertainty, initial=0.0)) for one in (now, then))
         extent = float(np.ptp(now.points, axis=0).max()) if len(now.points) else 0.0
-        factor = round_down(_LENGTH * extent / (2 * largest)) if largest > 0 and extent > 0 else 0.0
+        factor = magnification(2 * largest, extent, _LENGTH, 0.0)
         for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
             source.data = look.map_arrows(ErrorMap({}, one.points, np.zeros_like(one.points), one.uncertainty), factor)
         self._where.title.text = f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"

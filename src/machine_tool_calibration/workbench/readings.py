@@ -14,7 +14,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.residuals import color as setup_color
-from machine_tool_calibration.plots.style import round_down
+from machine_tool_calibration.plots.style import magnification
 from machine_tool_calibration.workbench.look import packed
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
@@ -251,7 +251,7 @@ class Readings:
         bulk = max((float(np.quantile(one, 0.98)) for one in size if len(one)), default=0.0)
         known = self._place[np.isfinite(self._place).all(axis=1)]
         extent = float(np.ptp(known, axis=0).max()) if len(known) else 0.0
-        return round_down(_LENGTH * extent / bulk) if bulk > 0 and extent > 0 else 0.0
+        return magnification(bulk, extent, _LENGTH, 0.0)
 
     def _arrows(self, residual: Array, factor: float) -> dict[str, Array]:
         """Ends of the magnified arrows of residuals (m) in every plane, mm."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -19,6 +18,7 @@ from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.reports.history_file import history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 from machine_tool_calibration.workbench.models import Model, Opened, Progress, Subject, diagnosed, improved, opened
 
 
@@ -101,7 +101,7 @@ class State:
         """The model in use, and whether it is saved."""
         model = self.model
         words = [model.fit.headline]
-        words += [words_set_aside(len(model.aside))] if model.aside else []
+        words += [say("step.set_aside", n=len(model.aside))] if model.aside else []
         words += [f"kept: {', '.join(map(self.subject.name, sorted(model.kept)))}"] if model.kept else []
         if model.number is None:
             words.append("not saved, as nothing was changed yet")

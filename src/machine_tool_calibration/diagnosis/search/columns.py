@@ -106,13 +106,9 @@ def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:
 def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int, shaped: Shaped) -> bool:
     """Whether the first function of a structure, a straight line, is what an effect does: then it is that effect.
 
-    Beside a structure that holds it the effect would only have what is left, and the structure is in no model.
-
-    Args:
-        plain: places and bases of the columns of the effects without nonlinear coefficients.
-        inner: (K, K) inner products of all columns.
-        first: place of the structure's first column.
-        shaped: the structure's columns.
+    Beside a structure that holds it the effect would only have what is left, and the structure is in no model. Of the
+    effects without nonlinear coefficients `plain` has places and bases among all columns, (K, K) `inner`; the
+    structure's first column is the one at `first`.
     """
     if shaped.shape or len(shaped.columns) < 2:
         return False
@@ -121,13 +117,7 @@ def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int
 
 
 def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:
-    """Without structures that lie in the span of an effect: they are that effect.
-
-    Args:
-        blocks: of all candidates.
-        inner: (K, K) inner products of all columns.
-        effects: how many of the candidates are effects: the first ones.
-    """
+    """Without structures that lie in the span of an effect, one of the first so many candidates: they are it."""
     mine = [block for block in blocks if block.candidate < effects]
     free = [block for block in blocks if not block.shaped.coefficients]
     if not mine or not free:

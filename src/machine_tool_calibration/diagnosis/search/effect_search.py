@@ -236,15 +236,10 @@ def _findings(columns: Columns, found: Posterior) -> tuple[Finding, ...]:
 
 
 def _accepted(columns: Columns, groups: Sequence[tuple[str, ...]], found: Posterior, further: float) -> tuple[str, ...]:
-    """Effects that are in more likely than not, the surest first; of look-alikes one stands for all.
+    """Effects that are in more likely than not, the surest first; of a group of look-alikes one stands for all.
 
-    Each given those before it: what is likely in different sets is not for that likely together.
-
-    Args:
-        columns: of all that was looked for.
-        groups: of look-alikes.
-        found: the posterior.
-        further: probability from which a further effect is accepted beside the surest.
+    Each given those before it: what is likely in different sets is not for that likely together. Beside the surest a
+    further one is accepted from the probability `further`.
     """
     place = columns.place
     left = [[place[name] for name in group] for group in groups]

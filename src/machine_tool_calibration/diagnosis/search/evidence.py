@@ -303,5 +303,6 @@ def _log_between(low: Array, high: Array) -> Array:
     between = np.asarray(ndtr(near) - ndtr(far))
     out = np.log(np.maximum(between, _NEVER))
     tiny = between < _NEVER
-    out[tiny] = log_ndtr(near[tiny])
+    upper = log_ndtr(near[tiny])
+    out[tiny] = upper + np.log(-np.expm1(np.minimum(log_ndtr(far[tiny]) - upper, -_NEVER)))
     return np.asarray(out)

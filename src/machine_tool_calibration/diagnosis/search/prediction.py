@@ -113,12 +113,7 @@ def _log_factors(pool: Pool, every: Pool, shaped: Sequence[Shaped], search: Effe
     or mounting the same functions: only so do the two compare. Where the noise were estimated from a part, one that
     something else spoils would speak against every effect of which the others are sure; and a single cycle, in which
     nothing tells passes from what the direction does, would speak for what all cycles together share with the passes.
-
-    Args:
-        pool: all readings, or a part of them.
-        every: all readings.
-        shaped: the effects' columns at all readings.
-        search: at all readings, with the size of the noise and of what does not reproduce.
+    The `pool` is of all readings or a part; the effects' columns and the search are of `every` reading.
     """
     columns, family, names = every.spread
     # Structures without a cause stand beside every effect: what they leave out would count against it.

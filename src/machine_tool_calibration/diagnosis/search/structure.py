@@ -244,12 +244,8 @@ def _from_place_to_place(scaled: Array, sign: Array) -> Array:
 def _events(observations: Observations, residual: Array, explained: _Explained) -> Iterator[Candidate]:
     """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s.
 
-    Where no time was recorded, the order of the readings serves, and both are counts of readings.
-
-    Args:
-        observations: of a session.
-        residual: (n,) over the standard uncertainty.
-        explained: see there.
+    Where no time was recorded, the order of the readings serves, and both are counts of readings. The residuals (n,)
+    are over the standard uncertainty.
     """
     name, time = "time" if observations.timed else "order", observations.clock
     covariate = named("column", name)

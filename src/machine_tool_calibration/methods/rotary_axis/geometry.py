@@ -65,7 +65,7 @@ def merged_nodes(angle: Array) -> tuple[Array, IntArray]:
     # the median member keeps a commanded value as it was written
     first = np.flatnonzero(np.r_[True, np.diff(place) > 0])
     last = np.r_[first[1:], len(angle)]
-    return ordered[(first + last - 1) // 2], node
+    return ordered[(first + last - 1) // 2] + 0.0, node  # no negative zero
 
 
 def table_readings(session: Session) -> TableReadings:
