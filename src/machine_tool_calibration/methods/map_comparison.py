@@ -6,6 +6,7 @@ of the machine. It is fitted to the differences of the points that both have and
 held against its own uncertainty, in which the fitted motion is contained.
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -212,10 +213,9 @@ def compare_fits(
     The uncertainties are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
     ModelError says that no point, or no direction at any, is in both maps.
     """
-    sessions = [[fit.model.observations.session for fit in one.joint.fits] for one in (first, second)]
-    for one in sessions[0]:
-        for other in sessions[1]:
-            refuse_repeated((one, other), labels)
+    sessions = ([fit.model.observations.session for fit in fitted.joint.fits] for fitted in (first, second))
+    for both in itertools.product(*sessions):
+        refuse_repeated(both, labels)
     maps = first.error_map, second.error_map
     pairs = common_points(*(states(own.points, own.content) for own in maps))
     if not len(pairs[0]):
