@@ -55,7 +55,9 @@ _SPREAD, _GROSS, _GROSS_SHARE = (0.3, 2.0), (10.0, 100.0), 0.05
 _STRUCTURE, _WALK, _MEMORY, _TAILS, _LAW = 0.5, 0.5, 0.3, 5.0, 0.1
 _SETUPS = ("tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "tracking_3d")
 _PLANS = (*_SETUPS, "iso230_2", "grid_plate")
-_LISTED = tuple(name for name in FLAWS if not name.startswith("unlisted") and not name.endswith("C"))
+# Without the latest, so that the same seeds hide the same effects as in the tables of docs/broken_worlds.md.
+_LATEST = ("unlisted", "reversal_periodic")
+_LISTED = tuple(name for name in FLAWS if not name.startswith(_LATEST) and not name.endswith("C"))
 # Effects of no catalogue.
 UNLISTED = tuple(name for name in FLAWS if name.startswith("unlisted"))
 

@@ -59,6 +59,7 @@ SHOWN: dict[str, tuple[str, float]] = {
         ("probing_cross", 0.98, "probe_pretravel"),
         ("ball_bar_three_planes", 0.999, "servo_mismatch_x servo_mismatch_y servo_mismatch_z"),
         ("ball_bar_three_planes", 0.95, "vibration_x vibration_y vibration_z"),
+        ("ball_bar_three_planes", 0.98, "reversal_periodic_x reversal_periodic_y reversal_periodic_z"),
         ("ball_bar_three_planes", 0.98, "reversal_spike_x reversal_spike_y reversal_spike_z"),
         ("drilled_plate", 0.999, "scale C0Y"),
         ("drilled_plate", 0.98, "pitch_periodic_x pitch_periodic_y"),
@@ -100,6 +101,7 @@ NEVER = {
     *("linear_drift", "station_drift", "pointer_radial_error", "retroreflector_form", "probe_pretravel"),
     *("squareness_drift_C0Y", "squareness_drift_B0Z", "squareness_drift_A0Z", "rotary_axis_drift"),
     *(f"{name}_{axis}" for name in ("screw_growth", "servo_mismatch", "reversal_spike", "vibration") for axis in "xyz"),
+    *("reversal_periodic_x", "reversal_periodic_y", "reversal_periodic_z"),
 }
 
 

@@ -107,7 +107,8 @@ def test_even_positions_resolve_leads_of_two_steps() -> None:
     found = frequencies(points(np.linspace(0.0, 0.4, 41)))
     assert found[0] == pytest.approx(1.5 / 0.4)
     assert 1.0 / 0.02 - 0.4 / 0.4 < found[-1] <= 1.0 / 0.02 * (1 + 1e-9)
-    np.testing.assert_allclose(np.diff(found), 0.4 / 0.4)
+    np.testing.assert_allclose(np.diff(found)[:-1], 0.4 / 0.4)
+    assert found[-1] == pytest.approx(1.0 / 0.02)  # the shortest of all, whatever the step
     assert len(frequencies(points(np.array([0.0, 0.1, 0.2])))) == 0
     # Points of a network are places of their own: one wave over them may be looked for.
     network = frequencies(TrackingPlan(dimension=2))
@@ -167,6 +168,27 @@ def test_a_wave_of_an_unusual_lead_is_among_those_that_are_tried(lead: float) ->
     assert effect.equally(observations, (lead,)) == 2 * len(every) > effect.equally(observations, (5e-3,))
     assert effect.equally(observations, (5e-3,)) == 2 * len(usual)
     assert "pitch_periodic_x" in diagnose(session.with_readings(readings)).accepted
+
+
+def test_a_wave_that_changes_its_sign_with_the_direction_is_told_from_one_that_does_not() -> None:
+    """A motor's steps against friction, also at the shortest wave that places resolve; another wave is the map's."""
+    plan = DirectPlan(count=101, repeats=2, terms=("EXX",))
+    session = simulate(SimulationSpec(plan=plan, seed=4, machine=MachineSpec(random=None))).session
+    x, sense = session.readings.column("x"), session.readings.column("dir_x")
+    step = float(np.diff(np.unique(x)).mean())
+    for waves, reverses in ((4.0, True), (2.0, True), (4.0, False)):
+        wave = 6.0 * session.sigma * np.cos(2.0 * np.pi * x / (waves * step) + (0.4 if waves > 2 else 0.0))
+        moved = wave * (sense if reverses else 1.0)
+        readings = replace(session.readings, displacement=session.readings.displacement + moved)
+        accepted = diagnose(session.with_readings(readings)).accepted
+        assert accepted == (("reversal_periodic_x",) if reverses else ())
+
+
+@pytest.mark.parametrize("count", [4, 5, 11])
+def test_of_few_places_a_wave_or_two_are_looked_for(count: int) -> None:
+    plan = points(np.tile(np.linspace(0.0, 0.4, count), 3))
+    assert len(frequencies(plan)) == {4: 0, 5: 3, 11: 10}[count]
+    assert "pitch_periodic_x" not in diagnose(simulate(SimulationSpec(plan=plan, seed=1)).session).accepted
 
 
 def test_a_vibration_is_looked_for_up_to_half_the_rate_of_the_fastest_run() -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Periodic error of a ball screw or scale."""
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.signal import find_peaks
 
@@ -17,8 +19,8 @@ _ONE_PLACE, _OF_RANGE = 0.05, 0.01
 # Leads of ball screws, mm, and half of them: tried one by one where so many short waves fit into the range that they
 # cannot all be.
 _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
-# Waves in the range, at least: fewer are a curve, whose cause need not be a screw.
-_WAVES, _WAVES_OF_MACHINE = 1.0, 1.5
+# Waves over a network of places, at least.
+_WAVES = 1.0
 # Step from wave to wave over one in the range; of others (racks, inches, motor steps) those that the readings show
 # most, found by a spectrum so much finer, of places so many of which are a shortest wave, without such a polynomial.
 _STEP, _FINER, _PLACES, _DEGREE = 0.4, 4, 16, 5
@@ -37,8 +39,16 @@ class PitchPeriodic(AxisEffect):
         Coefficient("s", "m", -5e-5, 5e-5, say("coefficient.wave_sine")),
         Coefficient("c", "m", -5e-5, 5e-5, say("coefficient.wave_cosine")),
     )
-    shapes = (Shape("lead", "m", _SHORTEST_LEAD, 1.0, meaning=say("coefficient.wave_length")),)
-    needs = ("{axis}",)
+    # In a small step, which a range of hundreds of waves multiplies.
+    shapes = (Shape("lead", "m", _SHORTEST_LEAD, 1.0, meaning=say("coefficient.wave_length"), step=1e-5),)
+    needs: tuple[str, ...] = ("{axis}",)
+    fewest = (
+        1.5  # waves in the range of an axis that is read itself: fewer are a curve, whose cause need not be a screw
+    )
+
+    def sign(self, observations: Observations) -> Array:
+        """(n,) by which the wave is multiplied in each reading."""
+        return np.ones(len(observations))
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Leads from the range covered down to what the positions can resolve.
@@ -53,40 +63,27 @@ class PitchPeriodic(AxisEffect):
     def equally(self, observations: Observations, shape: tuple[float, ...]) -> int:
         """Half the probability is that of the usual leads, the other half that of all."""
         every, usual = self._frequencies(observations)
-        among = usual if len(usual) and _near(1.0 / shape[0], usual, every) else every
-        return 0 if len(usual) == len(every) else 2 * len(among)
+        if len(usual) == len(every):
+            return 0
+        return 2 * len(usual if _near(1.0 / shape[0], usual, every) else every)
 
     def _frequencies(self, observations: Observations) -> tuple[Array, Array]:
-        """All that the positions resolve, and those that are tried whatever the readings say, waves per metre."""
-        position = _places(observations.readings.column(self.axis))
-        if len(position) < 4:
-            return np.zeros(0), np.zeros(0)
-        span = float(np.ptp(position))
-        steps = np.diff(position)
-        even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
-        shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST_LEAD, float(steps.mean()))
+        """See `_resolved`."""
         direct = spec_of(observations.session).reads_machine
-        fewest = _WAVES_OF_MACHINE if direct else _WAVES
-        every = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), _STEP / span)
-        if len(every) <= _MOST_LEADS:
-            return every, every
-        if not direct:
-            return every, np.linspace(every[0], every[-1], _MOST_LEADS)
-        # Long waves without a gap, and the usual leads beyond.
-        known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
-        long = every[: _MOST_LEADS - len(known)]
-        return every, np.concatenate([long, known[(known > long[-1] + 0.2 / span) & (known <= 1.0 / shortest)]])
+        fewest = self.fewest if direct else _WAVES * max(self.fewest / PitchPeriodic.fewest, 1.0)
+        return _resolved(observations.readings.column(self.axis).tobytes(), fewest, direct)
 
     def _strongest(self, observations: Observations, every: Array, usual: Array) -> Array:
         """Those of which direct readings show most, all approaches in step, and what lies beside each: none near a
         usual one.
         """
         readings, along = observations.readings, self.along(observations)
-        x, seen = readings.column(self.axis), readings.displacement * along
+        x, seen = readings.column(self.axis), readings.displacement * along * self.sign(observations)
         sense = readings.columns.get(f"dir_{self.axis}", np.zeros(len(x)))
         group = groups(observations.run, sense, along)
         for mine in (group == g for g in range(int(group.max()) + 1)):
-            slow = np.polynomial.Polynomial.fit(x[mine], seen[mine], min(_DEGREE, int(mine.sum()) // 4))
+            places = len(np.unique(np.round(x[mine], 6)))
+            slow = np.polynomial.Polynomial.fit(x[mine], seen[mine], min(_DEGREE, places // 4))
             seen[mine] -= slow(x[mine])
         width = 1.0 / (_PLACES * every[-1])
         summed = np.bincount(np.round((x - x.min()) / width).astype(np.int64), seen)
@@ -94,7 +91,7 @@ class PitchPeriodic(AxisEffect):
         count = round(1.0 / (step * width))
         frequency = np.fft.rfftfreq(count, width)
         power = np.abs(np.fft.rfft(summed, n=count)) ** 2 * ((frequency >= every[0]) & (frequency <= every[-1]))
-        peaks = find_peaks(power)[0]
+        peaks = find_peaks(np.pad(power, 1))[0] - 1
         ordered = frequency[peaks[np.argsort(-power[peaks], kind="stable")]]
         best = np.array([f for f in ordered[: len(usual) + _PEAKS] if not _near(f, usual, every)][:_PEAKS])
         return np.asarray((best[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
@@ -102,8 +99,52 @@ class PitchPeriodic(AxisEffect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of the position, along the axis."""
         angle = 2.0 * np.pi * observations.readings.column(self.axis) / shape[0]
-        along = self.along(observations)
+        along = self.along(observations) * self.sign(observations)
         return np.asarray([np.sin(angle) * along, np.cos(angle) * along])
+
+
+class ReversalPeriodic(PitchPeriodic):
+    """The same, of the other sign in the other direction: a motor's or a gear's torque against friction.
+
+    What yields to the torque, which comes once a pole or a tooth, is behind or ahead by it. With fewer waves it is a
+    lost motion that varies.
+    """
+
+    id = "reversal_periodic_{axis}"
+    title = say("effect.reversal_periodic")
+    formula = "e_{axis} = dir_{axis} (s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead))"
+    source = "ISO 230-2:2014, reversal value at every position; periodic torque of motors and gears"
+    needs = ("{axis}", "dir_{axis}")
+    seldom = True
+    fewest = 5.0
+
+    def sign(self, observations: Observations) -> Array:
+        """The direction of approach."""
+        return observations.readings.column(f"dir_{self.axis}")
+
+
+@lru_cache(maxsize=32)  # asked for again with every frequency
+def _resolved(read_at: bytes, fewest: float, direct: bool) -> tuple[Array, Array]:
+    """All that positions resolve, and those that are tried whatever the readings say, waves per metre.
+
+    From so many waves in the range; of positions along an axis that is read itself, or of a network of places.
+    """
+    position = _places(np.frombuffer(read_at))
+    if len(position) < 4:
+        return np.zeros(0), np.zeros(0)
+    span, steps = float(np.ptp(position)), np.diff(position)
+    even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
+    shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST_LEAD, float(steps.mean()))
+    every = np.arange(fewest / span, (1.0 - 1e-9) / shortest, _STEP / span)
+    every = np.append(every, 1.0 / shortest) if len(every) else every
+    if len(every) <= _MOST_LEADS:
+        return every, every
+    if not direct:
+        return every, np.linspace(every[0], every[-1], _MOST_LEADS)
+    # Long waves without a gap, and the usual leads beyond.
+    known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
+    long = every[: _MOST_LEADS - len(known)]
+    return every, np.concatenate([long, known[(known > long[-1] + 0.2 / span) & (known <= 1.0 / shortest)]])
 
 
 def _near(frequency: float, usual: Array, every: Array) -> bool:

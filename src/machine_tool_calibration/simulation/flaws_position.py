@@ -78,6 +78,11 @@ def _pitch(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
     return np.asarray(size * np.sin(2.0 * np.pi * scene.along(axis) / given["lead"] + given["phase"]))
 
 
+def _cogging(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
+    """A motor's poles pull what friction holds: forward on one way, back on the other."""
+    return np.asarray(_pitch(size, given, scene, axis) * scene.toward(axis))
+
+
 def _lost_motion(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
     """A screw that is worn most at one place: the nut has most play there, and half of it half a travel away."""
     low, high = scene.ends.get(axis, (0.0, 1.0))
@@ -170,6 +175,7 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
     *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
     *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
+    *_along("reversal_periodic", f"dir_{{a}} * {_WAVES}", 1.5e-6, _cogging, {"lead": 0.012}, drawn_phase),
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
          lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
