@@ -122,6 +122,7 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
         ({"coefficients": {"b": {"unit": "9**9**9**9", "low": 0, "high": 1}}}, "unknown unit"),
         ({"coefficients": {"b": {"unit": "m" * 5000, "low": 0, "high": 1}}}, "unknown unit"),
         ({"coefficients": {"b": {"unit": "(m", "low": 0, "high": 1}}}, "unknown unit '(m'"),
+        ({"constants": {"t0": {"value": 68, "unit": "degF"}}}, "t0 is in degF, which has another zero than degC"),
         (
             {"formula": "b * dir_y * exp(-(time - t0) / tau)", "constants": {"t0": {"value": 5}}},
             "t0 states no unit and counts as a pure number: constants: {t0: {value: 5.0, unit: m}}",

@@ -61,15 +61,22 @@ def test_a_column_of_an_axis_that_was_not_filled_in() -> None:
     assert "mm off what the same station read at the same place: is a column of the axes not filled in?" in says
 
 
-def copied(session: Session) -> Session:
+def doubled(session: Session) -> Session:
     """Where times are known, it is refused."""
     columns = {name: values for name, values in session.readings.columns.items() if name != "time"}
     lines = np.sort(np.concatenate([np.arange(len(session.readings)), np.arange(3, 8)]))
     return session.with_readings(replace(session.readings, columns=columns).select(lines))
 
 
+def test_lost_readings_are_no_copies(sound: Session) -> None:
+    again = doubled(sound)
+    read = again.readings.displacement.copy()
+    read[3:13] = np.nan
+    assert suspicions([with_readings(again, lambda _: read)]) == []
+
+
 CASES = [
-    (copied, "5 rows have the reading of a row before with the same setup, repeat, place and direction (the first is"),
+    (doubled, "5 rows have the reading of a row before with the same setup, repeat, place and direction (the first is"),
     (lambda s: with_readings(s, lambda d: 0.0 * d), "all 22 readings are 0: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 0.0 * d + 3e-6), "all 22 readings are 3e-06 m: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 1e-6 * d), "are they in another unit?"),

@@ -177,6 +177,8 @@ def _in_si(name: str, unit: str) -> tuple[float, str]:
     except (UndefinedUnitError, DefinitionSyntaxError, ValueError, TypeError, AssertionError, TokenError):
         raise ModelError(f"{name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
     factor = float(two.magnitude - one.magnitude)
+    if abs(factor - 1.0) > _ROUNDING and abs(one.magnitude - factor) > _ROUNDING * factor:
+        raise ModelError(f"{name} is in {unit}, which has another zero than degC: write it in that")
     return (1.0, unit) if abs(factor - 1.0) < _ROUNDING else (factor, f"{one.units:~C}")
 
 

@@ -42,9 +42,8 @@ class PitchPeriodic(AxisEffect):
     # In a small step, which a range of hundreds of waves multiplies.
     shapes = (Shape("lead", "m", _SHORTEST_LEAD, 1.0, meaning=say("coefficient.wave_length"), step=1e-5),)
     needs: tuple[str, ...] = ("{axis}",)
-    fewest = (
-        1.5  # waves in the range of an axis that is read itself: fewer are a curve, whose cause need not be a screw
-    )
+    # Waves in the range of an axis that is read itself, at least: fewer are a curve, whose cause need not be a screw.
+    fewest = 1.5
 
     def sign(self, observations: Observations) -> Array:
         """(n,) by which the wave is multiplied in each reading."""

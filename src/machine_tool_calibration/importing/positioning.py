@@ -45,8 +45,8 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
     numbers: dict[str, Array] = {
         mapping.axis: position + columns.origin(mapping.axis),
         f"dir_{mapping.axis}": np.where(up, 1.0, -1.0),
+        "repeat": run,
     }
-    numbers |= {"repeat": run}
     numbers |= {f"g{axis}": np.full(n, float(axis == sense)) for axis in "xyz"} | {"displacement": deviation}
     taken = ("position", "actual", "deviation", "run", "direction", "repeat", mapping.axis, f"dir_{mapping.axis}")
     numbers |= {role: values[row] for role, values in columns.others(taken).items()}

@@ -53,6 +53,7 @@ _SPELLINGS = {
     "°": "deg",
     "grad": "gon",
     "°C": "degC",
+    "C": "degC",
     "sec": "s",
 }
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*?)?\s*")
