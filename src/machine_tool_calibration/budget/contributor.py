@@ -97,8 +97,6 @@ def contributors_of(
         else:
             said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
             out.append(validated(Contributor, said, f"contributor {number}", refusal=ModelError))
-    if not out:
-        raise ModelError("contributors has 0 entries, not at least 1")
     return tuple(out)
 
 

@@ -4,7 +4,6 @@
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
@@ -90,7 +89,8 @@ class PitchPeriodic(AxisEffect):
         count = round(1.0 / (step * width))
         frequency = np.fft.rfftfreq(count, width)
         power = np.abs(np.fft.rfft(summed, n=count)) ** 2 * ((frequency >= every[0]) & (frequency <= every[-1]))
-        peaks = find_peaks(np.pad(power, 1))[0] - 1
+        beside = np.pad(power, 1)
+        peaks = np.flatnonzero((power > beside[:-2]) & (power >= beside[2:]))
         ordered = frequency[peaks[np.argsort(-power[peaks], kind="stable")]]
         best = np.array([f for f in ordered[: len(usual) + _PEAKS] if not _near(f, usual, every)][:_PEAKS])
         return np.asarray((best[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
@@ -121,6 +120,8 @@ class VirtualMachine:
 
     def tool_rotation(self, command: Array, errors: Mapping[str, Array] | None = None) -> Array:
         """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece; `errors` as above."""
+        from scipy.spatial.transform import Rotation  # slow to load, and few instruments need it
+
         at = np.atleast_2d(np.asarray(command, float))
         total = np.broadcast_to(np.eye(3), (len(at), 3, 3))
         for axis in self._directions:
