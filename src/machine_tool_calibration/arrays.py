@@ -104,6 +104,13 @@ def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Arr
     return low, median, high
 
 
+def peaks(values: Array) -> IntArray:
+    """Places of the peaks of values (n,), the largest first; the ends may be peaks as well."""
+    padded = np.pad(values, 1)
+    places = np.flatnonzero((values > padded[:-2]) & (values >= padded[2:]))
+    return places[np.argsort(-values[places], kind="stable")]
+
+
 def best_motion(points: Array, onto: Array) -> tuple[Array, Array]:
     """The rigid motion that brings points (n, d) nearest to others by least squares (Kabsch 1976); no mirror image.
 

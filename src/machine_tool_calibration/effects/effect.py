@@ -90,7 +90,7 @@ class Effect(ABC):
                 return f"the column {name} was not recorded"
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"
-        if self.moves and np.ptp(observations.readings.column(self.moves.lower())) < SAME_POSITION:
+        if self.moves and stands_still(observations, self.moves.lower()):
             return f"{self.moves} did not move"
         return None
 
@@ -145,6 +145,11 @@ class AxisEffect(Effect):
     def along(self, observations: Observations) -> Array:
         """(n,) the part of the linear axis's direction that each reading senses."""
         return np.asarray(observations.direction @ axis_unit(self.axis))
+
+
+def stands_still(observations: Observations, axis: str) -> bool:
+    """Whether all readings are at one position of an axis."""
+    return bool(np.ptp(observations.readings.column(axis)) < SAME_POSITION)
 
 
 def axis_unit(axis: str) -> Array:

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.arrays import Array, groups, peaks
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
@@ -18,8 +18,8 @@ _ONE_PLACE, _OF_RANGE = 0.05, 0.01
 # Leads of ball screws, mm, and half of them: tried one by one where so many short waves fit into the range that they
 # cannot all be.
 _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
-# Waves over a network of places, at least.
-_WAVES = 1.0
+# Of the fewest waves of an axis that is read itself, over a network of places: there one may be looked for.
+_OVER_PLACES = 2.0 / 3.0
 # Step from wave to wave over one in the range; of others (racks, inches, motor steps) those that the readings show
 # most, found by a spectrum so much finer, of places so many of which are a shortest wave, without such a polynomial.
 _STEP, _FINER, _PLACES, _DEGREE = 0.4, 4, 16, 5
@@ -68,7 +68,7 @@ class PitchPeriodic(AxisEffect):
     def _frequencies(self, observations: Observations) -> tuple[Array, Array]:
         """See `_resolved`."""
         direct = spec_of(observations.session).reads_machine
-        fewest = self.fewest if direct else _WAVES * max(self.fewest / PitchPeriodic.fewest, 1.0)
+        fewest = self.fewest * (1.0 if direct else _OVER_PLACES)
         return _resolved(observations.readings.column(self.axis).tobytes(), fewest, direct)
 
     def _strongest(self, observations: Observations, every: Array, usual: Array) -> Array:
@@ -89,10 +89,8 @@ class PitchPeriodic(AxisEffect):
         count = round(1.0 / (step * width))
         frequency = np.fft.rfftfreq(count, width)
         power = np.abs(np.fft.rfft(summed, n=count)) ** 2 * ((frequency >= every[0]) & (frequency <= every[-1]))
-        beside = np.pad(power, 1)
-        peaks = np.flatnonzero((power > beside[:-2]) & (power >= beside[2:]))
-        ordered = frequency[peaks[np.argsort(-power[peaks], kind="stable")]]
-        best = np.array([f for f in ordered[: len(usual) + _PEAKS] if not _near(f, usual, every)][:_PEAKS])
+        strongest = frequency[peaks(power)[: len(usual) + _PEAKS]]
+        best = np.array([f for f in strongest if not _near(f, usual, every)][:_PEAKS])
         return np.asarray((best[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

@@ -8,12 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.effects.thermal_expansion import (
-    REFERENCE_TEMPERATURE,
-    ThermalExpansion,
-    stands_still,
-)
+from machine_tool_calibration.effects.effect import Coefficient, Effect, stands_still
+from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE, ThermalExpansion
 from machine_tool_calibration.effects.thermal_lag import ThermalLag
 from machine_tool_calibration.effects.warmup import LARGEST_GROWTH
 from machine_tool_calibration.model.observations import Observations

@@ -4,8 +4,8 @@
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
-from machine_tool_calibration.model.observations import SAME_POSITION, Observations
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, stands_still
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
 # ISO 1: the temperature at which lengths are stated, degrees Celsius.
@@ -49,8 +49,3 @@ class ThermalExpansion(AxisEffect):
         if stands_still(observations, self.axis):
             return np.asarray(excess[None])
         return np.asarray([excess * observations.readings.column(self.axis), -excess])
-
-
-def stands_still(observations: Observations, axis: str) -> bool:
-    """Whether all readings are at one position of an axis."""
-    return bool(np.ptp(observations.readings.column(axis)) < SAME_POSITION)

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import peaks
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.candidates import Candidate
 from machine_tool_calibration.diagnosis.search.effect_search import _dependence
@@ -17,7 +18,6 @@ from machine_tool_calibration.diagnosis.search.structure import (
     _from_place_to_place,
     _moments,
     _Outside,
-    _peaks,
     _periodogram,
     _products,
     _step,
@@ -53,7 +53,7 @@ def test_frequencies_of_waves_come_out_strongest_first() -> None:
     frequency = _frequencies(2.5, 100.0) / LENGTH
     power = _periodogram(TIME - TIME[0], ONE_RUN, wave, frequency)
     # Each peak with its neighbours, half a step of frequency away.
-    found = _around(frequency, _peaks(power)[:2])
+    found = _around(frequency, peaks(power)[:2])
     step = frequency[1] - frequency[0]
     for peak, period in ((found[:3], 37.0), (found[3:], 11.3)):
         assert abs(peak[1] - 1.0 / period) < step
@@ -80,8 +80,8 @@ def test_a_wave_that_is_the_same_at_all_readings_takes_up_nothing() -> None:
 
 
 def test_peaks_may_be_at_the_ends() -> None:
-    assert _peaks(np.array([5.0, 1.0, 2.0, 1.0, 3.0])).tolist() == [0, 4, 2]
-    assert _peaks(np.zeros(4)).tolist() == []
+    assert peaks(np.array([5.0, 1.0, 2.0, 1.0, 3.0])).tolist() == [0, 4, 2]
+    assert peaks(np.zeros(4)).tolist() == []
 
 
 def test_nothing_to_look_for() -> None:

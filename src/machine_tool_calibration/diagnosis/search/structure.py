@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, peaks
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
@@ -281,7 +281,7 @@ def _moments(time: Array, of: Callable[[float], Array], explained: _Explained) -
     some = np.arange(0, len(every), stride)
     while True:
         powers = explained(of, every[some])
-        best = np.unique(np.concatenate([some[_peaks(power)[:_CHANGES]] for power in powers]))
+        best = np.unique(np.concatenate([some[peaks(power)[:_CHANGES]] for power in powers]))
         if stride == 1:
             return np.asarray(every[best])
         stride = -(-stride // _CLOSER)
@@ -291,7 +291,7 @@ def _moments(time: Array, of: Callable[[float], Array], explained: _Explained) -
 
 def _waves(covariate: str, time: Array, frequency: Array, powers: list[Array]) -> Iterator[Candidate]:
     """Those of a band, at the peaks of sums of squares."""
-    near = {one for power in powers for one in _around(frequency, _peaks(power)[:_PEAKS])}
+    near = {one for power in powers for one in _around(frequency, peaks(power)[:_PEAKS])}
     waves = tuple(Shaped((1.0 / one,), _wave(time, one)) for one in sorted(near))
     if waves:
         # As many of them are independent as there are periods over the session.
@@ -325,13 +325,6 @@ def _around(frequency: Array, places: IntArray) -> list[float]:
     """Frequencies at some places, and half a step beside them."""
     half = 0.5 * float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
     return [float(frequency[k] + shift) for k in places for shift in (-half, 0.0, half)]
-
-
-def _peaks(power: Array) -> IntArray:
-    """Places of the peaks, the largest first; the ends may be peaks as well."""
-    padded = np.pad(power, 1)
-    peaks = np.flatnonzero((power > padded[:-2]) & (power >= padded[2:]))
-    return peaks[np.argsort(-power[peaks], kind="stable")]
 
 
 def _structure(covariate: str, how: Said, shapes: tuple[Shaped, ...], equally: int = 0) -> Candidate:
