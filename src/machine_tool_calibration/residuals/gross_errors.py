@@ -8,11 +8,12 @@ reading is set aside where
 
     share * N(z; 0, width) > (1 - share) * p(z | noise),
 
-which is a limit for |z| (Box and Tiao 1968). Several readings are judged together (`residuals/agreement.py`): first
-those that a robust fit suspects, then those beside the set at hand that stand out or explain as much, until the set
-stays. What a smooth course of the run explains is no gross error, and where a session is full of such courses, its
-noise is what is left about them. Readings of which nothing says which is wrong (look-alikes) are all set aside, and
-named so. All numbers that decide stand in `estimation/priors.py`.
+which is a limit for |z| (Box and Tiao 1968). Several readings are judged together
+(`residuals/gross_error_sets.py`): first those that a robust fit suspects, then those beside the set at hand that stand
+out or explain as much, until the set stays. What a smooth course of the run explains is no gross error
+(`residuals/neighbours.py`), and where a session is full of such courses, its noise is what is left about them. Readings
+of which nothing says which is wrong (look-alikes) are all set aside, and named so. All numbers that decide stand in
+`estimation/priors.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,23 +31,22 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.fit import ShiftedPart
 from machine_tool_calibration.model.model import MethodModel, assemble
-from machine_tool_calibration.residuals.agreement import (
+from machine_tool_calibration.residuals.gross_error_sets import (
     COMPARED,
     HELD_OUT,
     LOOKED_AT,
     ROUNDS,
     TOGETHER,
-    Neighbours,
-    Noise,
+    Bulk,
     best_set,
+    bulk_of,
     compared_sets,
     groups_of_points,
     groups_of_unknowns,
-    noise_of,
     predicted_by_others,
-    same_place,
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
+from machine_tool_calibration.residuals.neighbours import Neighbours, same_place
 from machine_tool_calibration.session.session import Session
 
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
@@ -125,21 +125,21 @@ class _Fit:
     weight: Array  # (n,) of the readings
     residual: Array  # (n,) over the declared uncertainty; of a reading held out, from what all others predict
     spread: Array  # (n,) its standard deviation over that of the noise; infinite where it says nothing
-    noise: Noise  # see there
+    bulk: Bulk  # see there
 
     @property
     def predicted(self) -> Array:
         """(n,) predicted residuals, in standard deviations."""
-        return np.asarray(self.residual / self.spread / self.noise.scale)
+        return np.asarray(self.residual / self.spread / self.bulk.scale)
 
     def joint(self, which: IntArray) -> Callable[[IntArray], tuple[Array, Array]]:
-        """A and b (`residuals/agreement.py`) of any of some readings, by their places among these."""
+        """A and b (`residuals/gross_error_sets.py`) of any of some readings, by their places among these."""
         reached = prediction_jacobian(self.part, self.solution, 0, self.weight, which)
 
         def of(at: IntArray) -> tuple[Array, Array]:
             some = PredictionJacobian(reached.shared[at], reached.own[at], reached.point[at])
             products = some.products(some, self.solution.covariance)
-            return predicted_by_others(products, self.residual[which[at]] / self.noise.scale, self.weight[which[at]])
+            return predicted_by_others(products, self.residual[which[at]] / self.bulk.scale, self.weight[which[at]])
 
         return of
 
@@ -180,7 +180,7 @@ class _Search:
                 fit = self._fit(held)
                 continue
             # What was asked once is asked again, so that the set comes to rest.
-            beyond = np.abs(fit.predicted) > min(fit.noise.limit, priors.SUSPECTED_BESIDE)
+            beyond = np.abs(fit.predicted) > min(fit.bulk.limit, priors.SUSPECTED_BESIDE)
             more = np.union1d(asked, np.flatnonzero(beyond))
             if len(more) == len(asked):
                 break
@@ -193,12 +193,12 @@ class _Search:
             return np.zeros(0, dtype=np.int64)
         asked = self._suspects()
         fit = self._fit(asked)
-        return asked if (np.abs(fit.predicted[asked]) > fit.noise.limit).any() else asked[:0]
+        return asked if (np.abs(fit.predicted[asked]) > fit.bulk.limit).any() else asked[:0]
 
     def _only_noise(self) -> bool:
         """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
         fit = self._fit(np.zeros(0, dtype=np.int64))
-        return fit.noise.scale < priors.MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
+        return fit.bulk.scale < priors.MISFIT and bool((np.abs(fit.predicted) < fit.bulk.limit).all())
 
     def _suspects(self) -> IntArray:
         """Readings that stand out of a robust solution, which is where all others are linearised from now on.
@@ -210,9 +210,9 @@ class _Search:
         self.start, every = (theta, local[0]), np.arange(self.n)
         spare = max(1.0 - unknowns / self.n, 0.1)
         off, neighbours = residuals[0] / np.sqrt(spare), self.neighbours
-        noise = noise_of(np.abs(off), spare * self.n)
+        noise = bulk_of(np.abs(off), spare * self.n)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
-        beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
+        beside = bulk_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
         self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
         of_a_machine = np.abs(off) * self.sigma < _COURSE
@@ -241,20 +241,20 @@ class _Search:
         spread = np.sqrt(np.where(kept > priors.JUDGED, kept, np.inf))
         dof = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
-        noise = noise_of(np.abs(residual / spread)[seen], dof, self.explained[seen])
+        noise = bulk_of(np.abs(residual / spread)[seen], dof, self.explained[seen])
         return _Fit(plain, solution, weight, residual, spread, noise)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
         """Those of the readings asked for, which are held out, that have gross errors."""
         asked = asked[~self.explained[asked]]
-        if not len(asked) or not np.isfinite(fit.noise.scale):
+        if not len(asked) or not np.isfinite(fit.bulk.scale):
             return asked[:0]
         blocks, joint = [np.arange(len(asked))], fit.joint(asked)
         if len(asked) > TOGETHER:
             point = self.part.point_of_reading()[asked] if self.part.dimension else np.arange(len(asked)) // TOGETHER
             order = np.argsort(point, kind="stable")
             blocks = np.split(order, np.flatnonzero(np.diff(point[order])) + 1)
-        return np.sort(np.concatenate([asked[at[best_set(*joint(at), fit.noise.limit)]] for at in blocks]))
+        return np.sort(np.concatenate([asked[at[best_set(*joint(at), fit.bulk.limit)]] for at in blocks]))
 
     @cached_property
     def _groups(self) -> list[IntArray]:
@@ -272,7 +272,7 @@ class _Search:
         """
         alike: dict[int, IntArray] = {}
         # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
-        if self.pattern or not np.isfinite(fit.noise.scale):
+        if self.pattern or not np.isfinite(fit.bulk.scale):
             return held, alike
         touched, found = np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
         touched[asked], found[held] = True, True
@@ -280,7 +280,7 @@ class _Search:
         which = np.unique(np.concatenate([held[:0], *wanted]))
         joint = fit.joint(which)
         for mine in wanted:
-            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise)
+            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.bulk)
             found[mine] = False
             found[mine[gross]] = True
             if len(gross) and len(other):
@@ -294,11 +294,11 @@ class _Search:
 
         Where the model absorbs a part of what several readings share, that shows once all of them are held out.
         """
-        if not np.isfinite(fit.noise.scale):
+        if not np.isfinite(fit.bulk.scale):
             return np.zeros(len(held), dtype=bool)
-        explained = self.neighbours.explained(held, fit.residual, fit.noise.scale, fit.noise.limit)
+        explained = self.neighbours.explained(held, fit.residual, fit.bulk.scale, fit.bulk.limit)
         explained |= self.neighbours.in_a_row(held, fit.residual)
-        explained |= self.neighbours.repeated(held, fit.residual, fit.noise.scale * fit.noise.limit)
+        explained |= self.neighbours.repeated(held, fit.residual, fit.bulk.scale * fit.bulk.limit)
         return explained & (np.abs(fit.residual * self.sigma)[held] < _COURSE)
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence for gross errors: the noise, sets of readings that explain the residuals, and neighbours in time.
+"""Evidence for gross errors: the noise, and sets of readings that explain the residuals.
 
 Of a few readings with the deviations d from what all others predict, with
 covariance C in units of the noise, the explanation "those of the set S have gross errors" has the evidence
@@ -17,10 +17,9 @@ from math import comb
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
-from machine_tool_calibration.session.session import Readings
 
 _DOFS, _TAILS = tuple(priors.TAILS), tuple(priors.TAILS.values())
 # Readings whose distribution is looked at, at most.
@@ -38,7 +37,7 @@ HELD_OUT = 1e-8
 
 
 @dataclass(frozen=True)
-class Noise:
+class Bulk:
     """What predicted residuals are compared with."""
 
     scale: float  # standard deviation of the bulk over the declared uncertainty
@@ -48,8 +47,8 @@ class Noise:
     odds: float
 
 
-def noise_of(size: Array, redundancy: float, explained: BoolArray | None = None) -> Noise:
-    """The noise of predicted residuals, of which those beyond the limit have no say.
+def bulk_of(size: Array, redundancy: float, explained: BoolArray | None = None) -> Bulk:
+    """The bulk of predicted residuals: those beyond the limit have no say.
 
     Args:
         size: their sizes over the declared uncertainty.
@@ -57,11 +56,11 @@ def noise_of(size: Array, redundancy: float, explained: BoolArray | None = None)
         explained: which are no gross errors, however large.
     """
     if not len(size) or not np.isfinite(size).all():
-        return Noise(np.inf, priors.WIDTH, np.inf, np.inf)
+        return Bulk(np.inf, priors.WIDTH, np.inf, np.inf)
     single = size if explained is None else size[~explained]
     inside = np.ones(len(size), dtype=bool)
     for _ in range(ROUNDS):
-        scale, tails = _bulk(size[inside], redundancy)
+        scale, tails = _scale_and_tails(size[inside], redundancy)
         beyond = single[single > priors.SUSPECTED * scale] / scale
         width = max(priors.WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else priors.WIDTH
         count = 0
@@ -71,7 +70,7 @@ def noise_of(size: Array, redundancy: float, explained: BoolArray | None = None)
         if np.array_equal(inside, last):
             break
     odds = float(np.log(width * (priors.GROSS_ERRORS_DOF + len(size)) / (priors.GROSS_ERRORS + count)))
-    return Noise(scale, width, limit, min(odds, 0.5 * limit**2))
+    return Bulk(scale, width, limit, min(odds, 0.5 * limit**2))
 
 
 def _density(size: Array, dof: float) -> Array:
@@ -95,7 +94,7 @@ def _limit(tails: Array, redundancy: float, width: float, count: int, n: int) ->
     return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
 
 
-def _bulk(size: Array, redundancy: float) -> tuple[float, Array]:
+def _scale_and_tails(size: Array, redundancy: float) -> tuple[float, Array]:
     """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
 
     Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
@@ -168,7 +167,7 @@ def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
     return np.flatnonzero(gross)
 
 
-def compared_sets(inverse: Array, pulled: Array, noise: Noise) -> tuple[IntArray, IntArray]:
+def compared_sets(inverse: Array, pulled: Array, bulk: Bulk) -> tuple[IntArray, IntArray]:
     """All sets of gross errors among a few readings; where these are too many, those that the best of fewer grow into.
 
     One step after the other is not enough here: two wrong readings may agree with each other better than each does
@@ -177,14 +176,14 @@ def compared_sets(inverse: Array, pulled: Array, noise: Noise) -> tuple[IntArray
     Args:
         inverse: (k, k) A.
         pulled: (k,) b.
-        noise: its limit as of `best_set`; what may as well be wrong is compared by the prior odds alone.
+        bulk: its limit as of `best_set`; what may as well be wrong is compared by the prior odds alone.
 
     Returns:
         The set with the most evidence, and the readings in which others that are probable differ from it.
     """
-    k, cost = len(pulled), noise.odds
+    k, cost = len(pulled), bulk.odds
     inverse = (
-        inverse + np.eye(k) / max(noise.width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
+        inverse + np.eye(k) / max(bulk.width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
     )
     most = 0.5 * float(pulled @ np.linalg.solve(inverse, pulled))
     sets, evidence = [np.zeros((1, k), dtype=bool)], [np.zeros(1)]
@@ -211,7 +210,7 @@ def compared_sets(inverse: Array, pulled: Array, noise: Noise) -> tuple[IntArray
         pull, last = pull[parent] - column * step[:, None], new
         sets.append(grown[first])
         evidence.append(evidence[-1][parent] + 0.5 * step**2 - np.log(root) - cost)
-    return _compared(np.concatenate(sets), np.concatenate(evidence), 0.5 * noise.limit**2 - cost)
+    return _compared(np.concatenate(sets), np.concatenate(evidence), 0.5 * bulk.limit**2 - cost)
 
 
 def _compared(sets: BoolArray, evidence: Array, more: float) -> tuple[IntArray, IntArray]:
@@ -258,122 +257,3 @@ def groups_of_unknowns(part: Part, start: tuple[Array, Array], size: int) -> lis
                 name[joined] = name[joined][0]
     every, size_of = np.unique(name, return_counts=True)
     return [np.flatnonzero(name == one) for one in every[size_of > 1]]
-
-
-def same_place(readings: Readings, *, any_setup: bool = False) -> IntArray:
-    """(n,) index shared by readings that repeat each other, whatever the direction of approach (and the setup)."""
-    places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
-    senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
-    setup = [] if any_setup else [readings.setup]
-    return groups(*setup, *places, *senses, *readings.labels.values())
-
-
-class Neighbours:
-    """Readings next to each other in time in a run, and those that repeat each other in other runs.
-
-    What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
-    """
-
-    def __init__(self, readings: Readings, direction: Array) -> None:
-        """Order them.
-
-        Args:
-            readings: in the order of time; those along x and along y of a part are two runs.
-            direction: (n, 3) that each senses.
-        """
-        others = [readings.labels["target"]] if "target" in readings.labels else []
-        others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
-        approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
-        run, place = groups(readings.repeat, readings.setup, *others), same_place(readings)
-        # What only this run read agrees with itself, and says nothing of how the run differs from others.
-        place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
-        self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
-        self.repeats = _Ordered(groups(place, *approach))
-        # Read again in another setup, such as a circle at another feed.
-        sensed = np.round(direction.T * 1e6)
-        self.elsewhere = _Ordered(groups(same_place(readings, any_setup=True), *sensed, *approach))
-
-    def course(self, which: IntArray, residual: Array) -> Array:
-        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
-
-        Args:
-            which: (k,) the readings.
-            residual: (n,) of all.
-        """
-        along, values = self.run.near(which, residual)
-        line, level = _line(along, values), _median(values, priors.AGREEING)
-        # At the ends of a run a wrong neighbour turns the line: what is nearer.
-        few = np.isfinite(values).sum(axis=1) < priors.NEIGHBOURS + 2
-        other = few & ~(np.abs(residual[which] - line) < np.abs(residual[which] - level))
-        return np.nan_to_num(np.where(other, level, line))
-
-    def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
-        """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
-
-        Args:
-            which: (k,) the readings.
-            residual: (n,) of all.
-            noise: standard deviation of the residuals.
-            limit: of a deviation, in standard deviations.
-        """
-        along, values = self.run.near(which, residual)
-        repeats, out = self.repeats.near(which, residual)[1], np.zeros(len(which), dtype=bool)
-        before, after = (values[:, along < 0], along[along < 0]), (values[:, along > 0], along[along > 0])
-        for near, steps in (before, after, (repeats, None)):
-            # Most of the neighbours deviate themselves: a course, or what reproduces, is not made by a single one.
-            most = np.sum(np.abs(near) > priors.QUIET * noise, axis=1) >= priors.AGREEING
-            for level in [_median(near, priors.AGREEING)] + ([_line(steps, near)] if steps is not None else []):
-                within = limit * np.sqrt(noise**2 + (priors.CURVED * level) ** 2)
-                out |= most & (np.abs(residual[which] - level) < within)
-        return out
-
-    def in_a_row(self, which: IntArray, residual: Array) -> BoolArray:
-        """(k,) whether several next to a reading deviate in its sense, none by much less."""
-        along, values = self.run.near(which, residual)
-        own = residual[which][:, None]
-        alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
-        before, after = alike[:, along < 0][:, ::-1], alike[:, along > 0]
-        count = sum(np.cumprod(side, axis=1).sum(axis=1) for side in (before, after))
-        return np.asarray(count >= priors.AGREEING)
-
-    def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
-        """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
-        own, out = residual[which][:, None], np.zeros(len(which), dtype=bool)
-        for repeats in (read.near(which, residual)[1] for read in (self.repeats, self.elsewhere)):
-            alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
-            out |= np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1)
-        return out
-
-
-class _Ordered:
-    """Readings group by group, in the order of time."""
-
-    def __init__(self, group: IntArray) -> None:
-        self.group = group
-        self.order = np.argsort(group, kind="stable")
-        self.position = np.empty(len(group), dtype=np.int64)
-        self.position[self.order] = np.arange(len(group))
-
-    def near(self, which: IntArray, residual: Array) -> tuple[Array, Array]:
-        """(8,) steps to the next readings of the group before and after, and (k, 8) their residuals, NaN where none."""
-        along = np.setdiff1d(np.arange(-priors.NEIGHBOURS, priors.NEIGHBOURS + 1), 0)
-        near = self.position[which][:, None] + along
-        inside = (near >= 0) & (near < len(self.order))
-        near = self.order[np.clip(near, 0, len(self.order) - 1)]
-        inside &= self.group[near] == self.group[which][:, None]
-        return along.astype(float), np.where(inside, residual[near], np.nan)
-
-
-def _median(values: Array, fewest: int) -> Array:
-    """Median of each row's finite values; NaN of fewer than asked for."""
-    count = np.isfinite(values).sum(axis=1)
-    ordered, row = np.sort(values, axis=1), np.arange(len(values))
-    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
-    return np.where(count < fewest, np.nan, 0.5 * (ordered[row, low] + ordered[row, high]))
-
-
-def _line(along: Array, values: Array) -> Array:
-    """Value at 0 of the line by medians of slopes and heights (Theil 1950; Sen 1968); NaN of fewer than four values."""
-    one, other = np.triu_indices(len(along), 1)
-    slope = _median((values[:, other] - values[:, one]) / (along[other] - along[one]), 6)
-    return _median(values - slope[:, None] * along, 4)

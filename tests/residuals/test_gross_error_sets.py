@@ -8,7 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.agreement import Neighbours, Noise, compared_sets, groups_of_unknowns
+from machine_tool_calibration.residuals.gross_error_sets import Bulk, compared_sets, groups_of_unknowns
 from machine_tool_calibration.residuals.gross_errors import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -21,7 +21,7 @@ NOISE = np.array([0.4, -0.9, 0.2, 0.5, -0.3, 0.8, -0.6, 0.1])
 def explained(local: Array, residual: Array, limit: float = 4.7) -> tuple[IntArray, IntArray]:
     """Readings of a point that nothing else is known of; the limit falls with the share of gross errors."""
     free = np.eye(len(local)) - local @ np.linalg.pinv(local)
-    return compared_sets(free, free @ residual, Noise(1.0, 200.0, limit, 0.5 * limit**2))
+    return compared_sets(free, free @ residual, Bulk(1.0, 200.0, limit, 0.5 * limit**2))
 
 
 def test_three_of_eight_are_told_from_one_another() -> None:
@@ -101,34 +101,3 @@ def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
     found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert {o.row for o in found} == {int(readings.row[k]) for k in first}
-
-
-def test_what_deviates_alike_in_another_setup_reproduces() -> None:
-    """A circle at two feeds, and one place seen by two stations along directions of their own."""
-    session = simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=1)).session
-    observations = build_model(session)[0].observations
-    readings = observations.readings
-    spike = np.linalg.norm(observations.position - observations.position[90], axis=1) < 1e-9
-    which = np.flatnonzero(spike)
-    assert len(np.unique(readings.setup[which])) > 1
-    own = Neighbours(readings, observations.direction)
-    assert own.repeated(which, 50.0 * spike, 5.0).all()
-    turned = observations.direction + 0.1 * readings.setup[:, None]
-    assert not Neighbours(readings, turned).repeated(which, 50.0 * spike, 5.0).any()
-
-
-def test_neighbours_of_a_reading_are_of_its_run_and_direction() -> None:
-    """Holes are read along x and along y in turn, each with a course of its own; at the ends of a run it goes on."""
-    spec = SimulationSpec(plan=PRESETS["drilled_plate"].model_copy(update={"count": 5, "repeats": 2}), seed=1)
-    readings = simulate(spec).session.readings
-    number = np.arange(len(readings)) // 2 % 25
-    course = np.where(readings.columns["gx"] > 0.5, 3.0 + 0.1 * number, -5.0) + 20.0 * readings.repeat
-    own = Neighbours(readings, np.zeros((len(readings), 3)))
-    every = np.arange(len(readings))
-    np.testing.assert_allclose(own.course(every, course), course, atol=1e-9)
-    # A single wrong one is not what its neighbours say, and does not change what they say of others.
-    wrong = course.copy()
-    wrong[40] += 50.0
-    np.testing.assert_allclose(own.course(every, wrong), course, atol=0.21)
-    assert own.explained(every, course, 1.0, 3.0).all()
-    assert np.flatnonzero(~own.explained(every, wrong, 1.0, 3.0)).tolist() == [40]

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings next to each other in time, or that repeat each other: what they share is no gross error."""
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.session.session import Readings
+
+
+def same_place(readings: Readings, *, any_setup: bool = False) -> IntArray:
+    """(n,) index shared by readings that repeat each other, whatever the direction of approach (and the setup)."""
+    places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
+    senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
+    setup = [] if any_setup else [readings.setup]
+    return groups(*setup, *places, *senses, *readings.labels.values())
+
+
+class Neighbours:
+    """Readings next to each other in time in a run, and those that repeat each other in other runs.
+
+    What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
+    """
+
+    def __init__(self, readings: Readings, direction: Array) -> None:
+        """Order them.
+
+        Args:
+            readings: in the order of time; those along x and along y of a part are two runs.
+            direction: (n, 3) that each senses.
+        """
+        others = [readings.labels["target"]] if "target" in readings.labels else []
+        others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
+        approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
+        run, place = groups(readings.repeat, readings.setup, *others), same_place(readings)
+        # What only this run read agrees with itself, and says nothing of how the run differs from others.
+        place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
+        self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
+        self.repeats = _Ordered(groups(place, *approach))
+        # Read again in another setup, such as a circle at another feed.
+        sensed = np.round(direction.T * 1e6)
+        self.elsewhere = _Ordered(groups(same_place(readings, any_setup=True), *sensed, *approach))
+
+    def course(self, which: IntArray, residual: Array) -> Array:
+        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
+
+        Args:
+            which: (k,) the readings.
+            residual: (n,) of all.
+        """
+        along, values = self.run.near(which, residual)
+        line, level = _line(along, values), _median(values, priors.AGREEING)
+        # At the ends of a run a wrong neighbour turns the line: what is nearer.
+        few = np.isfinite(values).sum(axis=1) < priors.NEIGHBOURS + 2
+        other = few & ~(np.abs(residual[which] - line) < np.abs(residual[which] - level))
+        return np.nan_to_num(np.where(other, level, line))
+
+    def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
+        """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
+
+        Args:
+            which: (k,) the readings.
+            residual: (n,) of all.
+            noise: standard deviation of the residuals.
+            limit: of a deviation, in standard deviations.
+        """
+        along, values = self.run.near(which, residual)
+        repeats, out = self.repeats.near(which, residual)[1], np.zeros(len(which), dtype=bool)
+        before, after = (values[:, along < 0], along[along < 0]), (values[:, along > 0], along[along > 0])
+        for near, steps in (before, after, (repeats, None)):
+            # Most of the neighbours deviate themselves: a course, or what reproduces, is not made by a single one.
+            most = np.sum(np.abs(near) > priors.QUIET * noise, axis=1) >= priors.AGREEING
+            for level in [_median(near, priors.AGREEING)] + ([_line(steps, near)] if steps is not None else []):
+                within = limit * np.sqrt(noise**2 + (priors.CURVED * level) ** 2)
+                out |= most & (np.abs(residual[which] - level) < within)
+        return out
+
+    def in_a_row(self, which: IntArray, residual: Array) -> BoolArray:
+        """(k,) whether several next to a reading deviate in its sense, none by much less."""
+        along, values = self.run.near(which, residual)
+        own = residual[which][:, None]
+        alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
+        before, after = alike[:, along < 0][:, ::-1], alike[:, along > 0]
+        count = sum(np.cumprod(side, axis=1).sum(axis=1) for side in (before, after))
+        return np.asarray(count >= priors.AGREEING)
+
+    def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
+        """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
+        own, out = residual[which][:, None], np.zeros(len(which), dtype=bool)
+        for repeats in (read.near(which, residual)[1] for read in (self.repeats, self.elsewhere)):
+            alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
+            out |= np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1)
+        return out
+
+
+class _Ordered:
+    """Readings group by group, in the order of time."""
+
+    def __init__(self, group: IntArray) -> None:
+        self.group = group
+        self.order = np.argsort(group, kind="stable")
+        self.position = np.empty(len(group), dtype=np.int64)
+        self.position[self.order] = np.arange(len(group))
+
+    def near(self, which: IntArray, residual: Array) -> tuple[Array, Array]:
+        """(8,) steps to the next readings of the group before and after, and (k, 8) their residuals, NaN where none."""
+        along = np.setdiff1d(np.arange(-priors.NEIGHBOURS, priors.NEIGHBOURS + 1), 0)
+        near = self.position[which][:, None] + along
+        inside = (near >= 0) & (near < len(self.order))
+        near = self.order[np.clip(near, 0, len(self.order) - 1)]
+        inside &= self.group[near] == self.group[which][:, None]
+        return along.astype(float), np.where(inside, residual[near], np.nan)
+
+
+def _median(values: Array, fewest: int) -> Array:
+    """Median of each row's finite values; NaN of fewer than asked for."""
+    count = np.isfinite(values).sum(axis=1)
+    ordered, row = np.sort(values, axis=1), np.arange(len(values))
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    return np.where(count < fewest, np.nan, 0.5 * (ordered[row, low] + ordered[row, high]))
+
+
+def _line(along: Array, values: Array) -> Array:
+    """Value at 0 of the line by medians of slopes and heights (Theil 1950; Sen 1968); NaN of fewer than four values."""
+    one, other = np.triu_indices(len(along), 1)
+    slope = _median((values[:, other] - values[:, one]) / (along[other] - along[one]), 6)
+    return _median(values - slope[:, None] * along, 4)
