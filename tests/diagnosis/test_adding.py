@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from machine_tool_calibration.diagnosis.adding import needless
+from machine_tool_calibration.diagnosis.adding import explain_nearly_all
 from machine_tool_calibration.errors import ModelError
 
 
@@ -17,11 +17,11 @@ def fitted(chi_square: float) -> Any:
 @pytest.mark.parametrize(("left", "enough"), [(14.0, True), (16.0, False), (100.0, False)])
 def test_what_is_ruled_out_is_needless_where_the_others_explain_nearly_as_much(left: float, enough: bool) -> None:
     """Together they take 90 of 100: 95 % of that are 85.5."""
-    assert needless(("a", "b"), (fitted(100.0), fitted(left)), lambda names: fitted(10.0)) is enough
+    assert explain_nearly_all(("a", "b"), (fitted(100.0), fitted(left)), lambda names: fitted(10.0)) is enough
 
 
 def test_effects_that_no_model_takes_together_are_looked_for_anew() -> None:
     def refuse(names: tuple[str, ...]) -> Any:
         raise ModelError("together they are not determined")
 
-    assert not needless(("a", "b"), (fitted(100.0), fitted(1.0)), refuse)
+    assert not explain_nearly_all(("a", "b"), (fitted(100.0), fitted(1.0)), refuse)

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.adding import _explains, _hold, _not_themselves, _sized, simpler
+from machine_tool_calibration.diagnosis.adding import _explains, _hold, _sized, _spurious, better_special_cases
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _verdict, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
@@ -244,11 +244,11 @@ def test_what_explains_less_than_its_special_case_is_not_itself() -> None:
     pool = Pool(first)
     candidates, _ = effect_candidates(pool, find_effects(["thermal_expansion_x", "thermal_lag_x"]))
     search = search_effects(first, candidates, [], side_by_side=True)
-    found = _not_themselves(search, first, ("thermal_lag_x",), lambda ids: fit_sessions(request.adding(ids)))
+    found = _spurious(search, first, ("thermal_lag_x",), lambda ids: fit_sessions(request.adding(ids)))
     assert "thermal_expansion_x" in found["thermal_lag_x"]
-    assert not _not_themselves(search, first, ("thermal_expansion_x",), lambda ids: fit_sessions(request.adding(ids)))
+    assert not _spurious(search, first, ("thermal_expansion_x",), lambda ids: fit_sessions(request.adding(ids)))
     late = search.of("thermal_lag_x").candidate
-    assert simpler(late, lambda ids: fit_sessions(request.adding(ids))) == ("thermal_expansion_x",)
+    assert better_special_cases(late, lambda ids: fit_sessions(request.adding(ids))) == ("thermal_expansion_x",)
 
 
 def test_a_size_that_may_be_zero_is_not_added() -> None:
@@ -256,8 +256,8 @@ def test_a_size_that_may_be_zero_is_not_added() -> None:
     first = fit_sessions(request).joint
     candidates, _ = effect_candidates(Pool(first), find_effects(["backlash_x"]))
     search = search_effects(first, candidates, [], side_by_side=True)
-    found = _not_themselves(search, first, ("backlash_x",), lambda ids: fit_sessions(request.adding(ids)))
+    found = _spurious(search, first, ("backlash_x",), lambda ids: fit_sessions(request.adding(ids)))
     assert "does not stand out" in found["backlash_x"]
     # Where chance does not make it, repeats that leave room for it do not count.
     sure = replace(search, findings=tuple(replace(f, p_value=1e-6) for f in search.findings))
-    assert not _not_themselves(sure, first, ("backlash_x",), lambda ids: fit_sessions(request.adding(ids)))
+    assert not _spurious(sure, first, ("backlash_x",), lambda ids: fit_sessions(request.adding(ids)))

@@ -25,7 +25,7 @@ from machine_tool_calibration.words import say, together
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
 
-def with_probable(
+def add_probable(
     names: Sequence[str],
     search: EffectSearch,
     predicted: Mapping[str, Sequence[Prediction]],
@@ -52,12 +52,12 @@ def with_probable(
                 wider = fit_with((*accepted, name))
                 _settled(wider.joint)
                 _hold(fitted[-1].error_map, wider.error_map)
-                late = _not_themselves(search, first.joint, (*accepted, name), fit_with)
+                late = _spurious(search, first.joint, (*accepted, name), fit_with)
             except ModelError as error:
                 impossible[name] = str(error)
                 continue
             if late:
-                return with_probable(names, search, predicted, first, fit_with, {**unsized, **late})
+                return add_probable(names, search, predicted, first, fit_with, {**unsized, **late})
             if not _explains(fitted[-1].joint, wider.joint, search.memory):
                 refused[name] = say("undetermined.explains_nothing")
                 continue
@@ -84,7 +84,7 @@ def _explains(before: JointFit, after: JointFit, memory: float) -> bool:
     return gain >= priors.LEAST_GAIN * memory * min(after.reduced_chi_square, 1.0)
 
 
-def _not_themselves(
+def _spurious(
     search: EffectSearch,
     before: JointFit,
     names: tuple[str, ...],
@@ -128,7 +128,7 @@ def _not_themselves(
     return {best[0]: say("undetermined.less_than_simpler", names=together(cases[best[0]], say("text.and")))}
 
 
-def needless(
+def explain_nearly_all(
     names: Sequence[str], fitted: Sequence[FittedSessions], fit_with: Callable[[tuple[str, ...]], FittedSessions]
 ) -> bool:
     """Whether those of some effects that can be added explain nearly all that all of them explain together.
@@ -146,7 +146,9 @@ def needless(
     return first - rest >= priors.NEARLY_ALL * (first - every)
 
 
-def simpler(candidate: Candidate, fit_with: Callable[[tuple[str, ...]], FittedSessions]) -> tuple[str, ...]:
+def better_special_cases(
+    candidate: Candidate, fit_with: Callable[[tuple[str, ...]], FittedSessions]
+) -> tuple[str, ...]:
     """Special cases of an effect that explain more than it does, each by itself."""
     try:
         least = fit_with((candidate.name,)).joint.solution.chi_square

@@ -10,7 +10,7 @@ import threadpoolctl
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.adding import needless, simpler, with_probable
+from machine_tool_calibration.diagnosis.adding import add_probable, better_special_cases, explain_nearly_all
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
@@ -215,7 +215,7 @@ def _search(
     searched, first, repeated = _first_model(chosen)
     candidates, excluded = _candidates(chosen, first)
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    search, predicted, fitted, refused = _possible(searched, first, candidates, progress)
+    search, predicted, fitted, refused = _feasible(searched, first, candidates, progress)
     noise = search.noise[0]
     if repeated is not None:
         said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
@@ -253,7 +253,7 @@ def _candidates(chosen: FitRequest, first: FittedSessions) -> tuple[list[Candida
     return candidates, excluded
 
 
-def _possible(
+def _feasible(
     searched: FitRequest,
     first: FittedSessions,
     candidates: Sequence[Candidate],
@@ -292,11 +292,11 @@ def _possible(
             searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
         )
         names = [name for name in search.accepted if name in possible]
-        fitted, ruled_out, impossible = with_probable(names, search, predicted, first, fit_with)
+        fitted, ruled_out, impossible = add_probable(names, search, predicted, first, fit_with)
         refused |= ruled_out
-        if ruled_out and not needless(names, fitted, fit_with):
+        if ruled_out and not explain_nearly_all(names, fitted, fit_with):
             out = [search.of(name).candidate for name in ruled_out]
-            instead = any(simpler(candidate, fit_with) for candidate in out)
+            instead = any(better_special_cases(candidate, fit_with) for candidate in out)
             special = {name for candidate in out for name in candidate.contains}
             possible = {candidate.name for candidate in candidates} if instead else {*names, *special}
             gone += map(search.of, ruled_out)

@@ -144,7 +144,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
     if u or solved.random is not None:
-        found = _averaged(solved, problem, wide, place, offset, names)
+        found = _average_over_sizes(solved, problem, wide, place, offset, names)
     else:
         repeated = _of_repeats(solved, ())
         again = (0.0, 0.0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
@@ -200,7 +200,7 @@ class _Marginal:
     estimator: Array  # the covariance without what moves nothing: times the columns it takes readings to the mean
 
 
-def _averaged(
+def _average_over_sizes(
     solved: Solved, problem: Problem, wide: Problem, place: IntArray, offset: BoolArray, names: tuple[str, ...]
 ) -> _Marginal:
     """The mean over the sizes of what does not reproduce."""

@@ -326,13 +326,13 @@ def _whole_terms(fit: Fit) -> dict[str, str]:
     }
 
 
-Fits = Literal["bad", "nearly", "well", "too well"]
+FitQuality = Literal["bad", "nearly", "well", "too well"]
 
 # A right model with a right uncertainty is called bad once in a thousand measurements, and nearly fitting once in 20.
 _BAD, _NEARLY = 1e-3, 0.05
 
 
-def fits(p_value: float | None) -> Fits:
+def fit_quality(p_value: float | None) -> FitQuality:
     """How a model fits readings of that p-value; well where there is none, as nothing speaks against it."""
     if p_value is None or p_value != p_value:
         return "well"
@@ -371,4 +371,4 @@ def scatter_p_value(p_value: float | None, content: Mapping[str, Any] | None) ->
 
 def only_if_right(p_value: float | None, content: Mapping[str, Any] | None) -> bool:
     """Whether the readings speak against the model on which the uncertainty of a map with this content rests."""
-    return fits(p_value) == "bad" and one_direction(content) is None
+    return fit_quality(p_value) == "bad" and one_direction(content) is None

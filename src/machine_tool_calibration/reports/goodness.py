@@ -10,7 +10,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import (
     effect_estimates,
-    fits,
+    fit_quality,
     lacks_reversal,
     one_direction,
     only_if_right,
@@ -27,7 +27,7 @@ _SURE = 2.0
 
 def fit_words(reduced_chi_square: float, p_value: float) -> Said:
     """How well a model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
-    how, ratio = fits(p_value), rounded(reduced_chi_square**0.5)
+    how, ratio = fit_quality(p_value), rounded(reduced_chi_square**0.5)
     return say(f"fit.{how.replace(' ', '_')}", ratio=ratio, p=chance(p_value))
 
 
@@ -36,7 +36,7 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
         return None
-    how, used = fits(scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
+    how, used = fit_quality(scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
     both, ratio = _both(scatter["found"], scatter["declared"]), rounded(scatter["found"] / scatter["declared"])
     if (own := one_direction(content)) is not None:
         key = {"bad": "_bad", "nearly": "_nearly"}.get(how, "")

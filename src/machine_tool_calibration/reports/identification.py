@@ -14,7 +14,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.result import Result, fits, only_if_right, scatter_p_value
+from machine_tool_calibration.model.result import Result, fit_quality, only_if_right, scatter_p_value
 from machine_tool_calibration.reports.goodness import fit_words, free_words, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
@@ -181,7 +181,7 @@ def result_parts(
         model = ", ".join(each) or document["model"]
         yield say("result.model_with", model=model, effects=", ".join(document["effects"]))
     fitting = goodness_of_fit(document)
-    doubt = fits(scatter_p_value(document["p_value"], document["error_map"])) in ("bad", "nearly")
+    doubt = fit_quality(scatter_p_value(document["p_value"], document["error_map"])) in ("bad", "nearly")
     yield say("result.ask_diagnosis", text=fitting) if doubt and not on_page else fitting
     yield from free_words(document)
     yield from suspicion_words(document["suspicious"])

@@ -11,7 +11,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.model.result import fits, one_direction
+from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import free_words, negative_words, scatter_words
@@ -95,7 +95,7 @@ def good_enough(diagnosis: Diagnosis) -> bool:
 def _scatters(diagnosis: Diagnosis) -> bool:
     """Whether deviations scatter more than was declared, as a part or an axis may, and nobody can declare."""
     session, fit = diagnosis.chosen.sessions[0], diagnosis.search.fit
-    return spec_of(session).reads_machine and fits(fit.p_value) == "bad"
+    return spec_of(session).reads_machine and fit_quality(fit.p_value) == "bad"
 
 
 def left_words(diagnosis: Diagnosis) -> Iterator[str]:
@@ -166,7 +166,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         if any(one.size > _LIMITS * left for one in fit.marginal.sizes):
             timed = all(model.observations.timed for model in fit.assembly.models)
             return say("next.runs" if timed else "next.runs_untimed")
-        if fits(fit.p_value) != "bad":
+        if fit_quality(fit.p_value) != "bad":
             return say("next.nothing")
         what = f"next.{_what_scatters(diagnosis)}"
         return say(what, ratio=rounded(np.sqrt(fit.reduced_chi_square)))
@@ -297,7 +297,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     if spec_of(diagnosis.chosen.sessions[0]).reads_machine:
         yield from _scatter(diagnosis)
         return
-    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fits(joint.p_value) == "bad":
+    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fit_quality(joint.p_value) == "bad":
         if noise.from_repeats is not None and diagnosis.noisy:
             why = say("diagnosis.repeats_scatter", repeats=quantity(noise.from_repeats, "m"))
         else:
@@ -315,7 +315,7 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         method, content = diagnosis.chosen.sessions[0].method, whole.error_map.content
         told = {"method": method, "model": whole.model_name, "p_value": whole.joint.p_value, "error_map": content}
         yield from free_words(told)
-    elif fits(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
+    elif fit_quality(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
         yield say("diagnosis.no_noise", ratio=rounded(ratio))
     # Where both directions are a reversal apart, that is no difference of places.
     found = one_direction(whole.error_map.content) or ratio * diagnosis.noise.declared

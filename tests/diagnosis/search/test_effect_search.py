@@ -14,7 +14,7 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, _grid, effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns, _grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.findings import Size, _detectable, without_laws
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
@@ -43,7 +43,7 @@ def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ())
     fit = fit_models([build_model(measured)[0]])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
     smooth = say("shape.smooth")
-    made = [Candidate(name, (Shaped((), columns),), dependence=(name, smooth)) for name, columns in structures]
+    made = [Candidate(name, (ShapedColumns((), columns),), dependence=(name, smooth)) for name, columns in structures]
     return search_effects(fit, candidates, made, side_by_side=False)
 
 
@@ -187,7 +187,7 @@ def test_a_wide_interval_makes_no_size_plausible(value: float, uncertainty: floa
 
 def test_of_more_shapes_a_larger_size_is_needed_and_of_the_more_probable_a_smaller_one() -> None:
     """Even odds after the readings; before them it has its own, shared among its shapes."""
-    inner, shaped = np.array([[4e12]]), Shaped((), np.zeros((1, 3)), (WAVE,))
+    inner, shaped = np.array([[4e12]]), ShapedColumns((), np.zeros((1, 3)), (WAVE,))
     told = {}
     for count, log_odds in ((1, -3.0), (12, -3.0), (12, -1.0)):
         candidate: Any = SimpleNamespace(count=count)

@@ -8,8 +8,8 @@ import pytest
 from scipy import integrate, stats
 from scipy.special import logsumexp
 
-from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.evidence import Block, alike, table
+from machine_tool_calibration.diagnosis.search.candidates import ShapedColumns
+from machine_tool_calibration.diagnosis.search.evidence import Block, batches, table
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, Marginal, marginal_at, size_grid
 
@@ -22,7 +22,7 @@ def block(
     candidate: int, first: int, unit: Sequence[float], most: float = EVER, share: float = 0.0, positive: bool = False
 ) -> Block:
     k = len(unit)
-    shaped, expected = Shaped((), np.zeros((k, 0))), np.full(k, positive)
+    shaped, expected = ShapedColumns((), np.zeros((k, 0))), np.full(k, positive)
     low, high = np.full(k, -most), np.full(k, most)
     return Block(candidate, slice(first, first + k), shaped, np.array(unit), low, high, expected, share)
 
@@ -61,7 +61,7 @@ def test_one_effect_with_explicit_covariances(spread_columns: int, size: float) 
     readings = np.random.default_rng(3).normal(size=N) + wide @ [size, -size] + 2.0 * spread.sum(axis=1)
     unit = np.array([2.0, 0.5])
     gram = gram_of(wide, spread, readings)
-    found = table(alike(gram, [block(0, 0, unit)]), marginals(gram), 1)
+    found = table(batches(gram, [block(0, 0, unit)]), marginals(gram), 1)
     with_it, without = explicit(readings, wide, unit, spread)
     assert found.log_factors[0] == pytest.approx(with_it - without, abs=1e-6)
     assert (found.log_factors[0] > 5.0) == (size > 0.0)
@@ -74,7 +74,7 @@ def test_one_coefficient_with_a_direct_integration_over_it_and_the_noise() -> No
     gram = gram_of(wide, np.zeros((N, 0)), readings)
     # A signal so small that there is one scale only.
     unit = 1.5 * priors.SMALLEST_SIGNAL / np.linalg.norm(wide)
-    found = table(alike(gram, [block(0, 0, [unit])]), marginals(gram), 1)
+    found = table(batches(gram, [block(0, 0, [unit])]), marginals(gram), 1)
 
     log_variance = np.linspace(-2.5, 3.0, 401)[:, None]
     coefficient = np.linspace(-3.0, 3.0, 801)[None, :]
@@ -99,7 +99,7 @@ def test_one_effect_where_the_noise_is_known() -> None:
     readings = 3.0 * np.random.default_rng(5).normal(size=N) + wide @ [0.9, -0.4]
     unit = 1.5 * priors.SMALLEST_SIGNAL / float(np.linalg.svd(wide, compute_uv=False)[0])
     gram = gram_of(wide, np.zeros((N, 0)), readings).with_noise(variance)
-    found = table(alike(gram, [block(0, 0, [unit, unit])]), marginals(gram), 1)
+    found = table(batches(gram, [block(0, 0, [unit, unit])]), marginals(gram), 1)
     # The coefficients' scale is in units of the noise, as the readings are here.
     own, scaled = unit * wide, readings / np.sqrt(variance)
     with_it, without = (
@@ -114,13 +114,15 @@ def test_sums_over_nonlinear_coefficients_have_their_shares() -> None:
     readings = np.random.default_rng(7).normal(size=N) + wide[:, 1]
     gram = gram_of(wide, np.zeros((N, 0)), readings)
     half = -np.log(2.0)
-    both = table(alike(gram, [block(0, 0, [1.0], share=half), block(0, 1, [1.0], share=half)]), marginals(gram), 1)
-    one, other = (table(alike(gram, [block(0, first, [1.0])]), marginals(gram), 1).log_evidence[0] for first in (0, 1))
+    both = table(batches(gram, [block(0, 0, [1.0], share=half), block(0, 1, [1.0], share=half)]), marginals(gram), 1)
+    one, other = (
+        table(batches(gram, [block(0, first, [1.0])]), marginals(gram), 1).log_evidence[0] for first in (0, 1)
+    )
     assert both.log_evidence[0] == pytest.approx(np.logaddexp(one, other) + half)
     assert both.best[0].block == 1
     # A point of a single scale: columns that are folded in there have all but the share.
     unit = 1.5 * priors.SMALLEST_SIGNAL / float(np.linalg.norm(wide[:, 0]))
-    single = table(alike(gram, [block(0, 0, [unit], share=half)]), marginals(gram), 1)
+    single = table(batches(gram, [block(0, 0, [unit], share=half)]), marginals(gram), 1)
     assert single.best[0].log_rest == pytest.approx(half)
 
 
@@ -131,7 +133,7 @@ def test_a_sign_that_is_expected_is_a_prior_and_no_wall() -> None:
     for sign, odds in ((-1.0, 1.0), (1.0, priors.POSITIVE)):
         gram = gram_of(wide, np.zeros((N, 0)), noise + 1.5 * sign * wide[:, 0])
         either, expected = (
-            table(alike(gram, [block(0, 0, [2.0], most=1e3, positive=one)]), marginals(gram), 1).log_factors[0]
+            table(batches(gram, [block(0, 0, [2.0], most=1e3, positive=one)]), marginals(gram), 1).log_factors[0]
             for one in (False, True)
         )
         assert either > 5.0
@@ -143,7 +145,7 @@ def test_a_size_that_does_not_occur_is_cut_off() -> None:
     wide = columns(8, 1)
     gram = gram_of(wide, np.zeros((N, 0)), np.random.default_rng(9).normal(size=N) + 3.0 * wide[:, 0])
     inside, outside = (
-        table(alike(gram, [block(0, 0, [2.0], most=most)]), marginals(gram), 1).log_factors[0] for most in (6.0, 1.0)
+        table(batches(gram, [block(0, 0, [2.0], most=most)]), marginals(gram), 1).log_factors[0] for most in (6.0, 1.0)
     )
     assert inside > 5.0
     assert outside < inside - 5.0
@@ -152,6 +154,6 @@ def test_a_size_that_does_not_occur_is_cut_off() -> None:
 def test_what_the_model_takes_up_has_no_evidence() -> None:
     wide = np.zeros((N, 1))
     gram = gram_of(wide, np.zeros((N, 0)), np.random.default_rng(1).normal(size=N))
-    found = table(alike(gram, [block(0, 0, [1.0])]), marginals(gram), 1)
+    found = table(batches(gram, [block(0, 0, [1.0])]), marginals(gram), 1)
     assert found.best == {}
     assert found.log_evidence[0] == -np.inf

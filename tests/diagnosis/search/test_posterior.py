@@ -4,13 +4,13 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.evidence import Block, alike
+from machine_tool_calibration.diagnosis.search.candidates import ShapedColumns
+from machine_tool_calibration.diagnosis.search.evidence import Block, batches
 from machine_tool_calibration.diagnosis.search.posterior import (
     Posterior,
     _best_pairs,
+    _probable_marginals,
     _Search,
-    _sizes_that_matter,
     search,
 )
 from machine_tool_calibration.estimation import priors
@@ -29,7 +29,7 @@ def given(columns: np.ndarray, readings: np.ndarray, low: float = -np.inf) -> tu
         family=np.zeros(0, dtype=np.int64),
         dof=N,
     )
-    shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
+    shaped, unit, limits = ShapedColumns((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
     either = np.zeros(1, dtype=bool)
     blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, either, 0.0) for k in range(count)]
     return gram, blocks, np.full(count, np.log(priors.EFFECT / (1.0 - priors.EFFECT)))
@@ -121,8 +121,8 @@ def test_of_all_pairs_those_are_tried_that_leave_least() -> None:
     sizes = np.array([0.55, 0.5, 0.45, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0])
     noise -= columns @ (columns.T @ noise) / 64.0
     gram, blocks, odds = given(columns, noise + columns @ sizes)
-    same = alike(gram, blocks)
-    work = _Search(blocks, same, odds, _sizes_that_matter(gram, blocks, same, odds, 0.01), ())
+    same = batches(gram, blocks)
+    work = _Search(blocks, same, odds, _probable_marginals(gram, blocks, same, odds, 0.01), ())
     tried = [set(pair) for pair in _best_pairs(work, work.grow({}), range(10), {})]
     assert tried == [{0, 1}, {0, 2}, {0, 3}, {1, 2}][: len(tried)] and len(tried) > 1
 

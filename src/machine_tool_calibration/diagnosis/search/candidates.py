@@ -25,7 +25,7 @@ _BETWEEN = 2.0
 
 
 @dataclass(frozen=True)
-class Shaped:
+class ShapedColumns:
     """A candidate at one set of nonlinear coefficients."""
 
     shape: tuple[float, ...]  # these coefficients
@@ -40,7 +40,7 @@ class Shaped:
         """(k + j, n) its columns, and below them those of its law."""
         return self.columns if self.law is None else np.concatenate([self.columns, self.law])
 
-    def leading(self, count: int) -> Shaped:
+    def leading(self, count: int) -> ShapedColumns:
         """Its first columns alone."""
         return replace(self, columns=self.columns[:count], coefficients=self.coefficients[:count], law=None)
 
@@ -50,7 +50,7 @@ class Candidate:
     """Something that may be missing."""
 
     name: str  # an effect's id, or the name of a structure
-    shapes: tuple[Shaped, ...]  # one for each set of nonlinear coefficients that is tried
+    shapes: tuple[ShapedColumns, ...]  # one for each set of nonlinear coefficients that is tried
     effect: Effect | None = None  # the effect; None for a structure without a cause
     nonlinear: tuple[Shape, ...] = ()  # its nonlinear coefficients
     # number of sets of nonlinear coefficients over which the prior is spread at least: more than are tried where the
@@ -85,7 +85,7 @@ class Candidate:
         effect = self.effect
         return effect is not None and any(name.startswith("dir_") for name in (*effect.needs, *effect.covariates))
 
-    def among(self, shaped: Shaped) -> int:
+    def among(self, shaped: ShapedColumns) -> int:
         """Sets of nonlinear coefficients over which the prior is spread, where each is as probable as this one."""
         return shaped.equally or max(self.equally, len(self.shapes))
 
@@ -175,7 +175,7 @@ def _grid(effect: Effect, acting: Sequence[Observations]) -> list[tuple[float, .
     return grid
 
 
-def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:
+def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> ShapedColumns:
     """An effect at given nonlinear coefficients, in every session in which it can act.
 
     The machine's coefficients are the same in all sessions, those of a setup each session's own.
@@ -184,18 +184,18 @@ def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:
     columns = [effect.columns(pool.observations[k], shape) for k in acting]
     named = [effect.coefficients_for(pool.observations[k], shape) for k in acting]
     if not acting:
-        return Shaped(shape, np.zeros((0, len(pool))))
+        return ShapedColumns(shape, np.zeros((0, len(pool))))
     equally = max(effect.equally(pool.observations[k], shape) for k in acting)
     if effect.setup_level or len({len(c) for c in columns}) > 1:
         of_each = [pool.only(own, pool.pieces[k]) for k, own in zip(acting, columns, strict=True)]
-        return Shaped(shape, np.concatenate(of_each), tuple(c for own in named for c in own), equally=equally)
+        return ShapedColumns(shape, np.concatenate(of_each), tuple(c for own in named for c in own), equally=equally)
     together = np.zeros((len(columns[0]), len(pool)))
     for k, own in zip(acting, columns, strict=True):
         together[:, pool.pieces[k]] = own
-    return Shaped(shape, together, tuple(named[0]), equally=equally)
+    return ShapedColumns(shape, together, tuple(named[0]), equally=equally)
 
 
-def _acts(pool: Pool, shaped: Shaped) -> bool:
+def _acts(pool: Pool, shaped: ShapedColumns) -> bool:
     """Whether the largest plausible size would change any reading by more than a trace of its uncertainty."""
     if not np.isfinite(shaped.columns).all():
         return False

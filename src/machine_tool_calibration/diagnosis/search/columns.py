@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of
 from machine_tool_calibration.diagnosis.search.findings import basis_of
 from machine_tool_calibration.estimation import priors
@@ -103,7 +103,7 @@ def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:
     return [count for count in _LEADING if count >= least]
 
 
-def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int, shaped: Shaped) -> bool:
+def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int, shaped: ShapedColumns) -> bool:
     """Whether the first function of a structure, a straight line, is what an effect does: then it is that effect.
 
     Beside a structure that holds it the effect would only have what is left, and the structure is in no model. Of the

@@ -299,7 +299,7 @@ def _absorbed(columns: Columns) -> tuple[Absorbed, ...]:
 def _structure(columns: Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
     tried = found.marginals_with([columns.place[name] for name in accepted])
-    beside = table(found.alike, tried, len(columns.candidates)) if accepted else found.single
+    beside = table(found.batches, tried, len(columns.candidates)) if accepted else found.single
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
         log_factor = float(beside.log_factors[k])

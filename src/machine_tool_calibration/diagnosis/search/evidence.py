@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.diagnosis.search.candidates import Shaped
+from machine_tool_calibration.diagnosis.search.candidates import ShapedColumns
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
@@ -42,7 +42,7 @@ class Block:
 
     candidate: int  # index of the candidate
     place: slice  # where its columns are among all: its own, and below them those by which it may differ from its law
-    shaped: Shaped  # these columns
+    shaped: ShapedColumns  # these columns
     unit: Array  # (k,) largest plausible size of each coefficient over two: what scales count from
     low: Array  # (k,) smallest plausible value of each
     high: Array  # (k,) largest
@@ -63,7 +63,7 @@ class Block:
         return np.asarray(scale > self.usual * priors.SCALE_STEP**0.5)
 
     @classmethod
-    def of(cls, candidate: int, place: slice, shaped: Shaped, squares: Array, log_share: float = 0.0) -> Block:
+    def of(cls, candidate: int, place: slice, shaped: ShapedColumns, squares: Array, log_share: float = 0.0) -> Block:
         """That of an effect, within the limits of its coefficients, or of a structure, whose size is hardly limited.
 
         Args:
@@ -140,7 +140,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Alike:
+class Batch:
     """Blocks of k columns each that are worked on together, with the scales at which they are tried."""
 
     block: IntArray  # (blocks,) number of each among all
@@ -155,12 +155,12 @@ class Alike:
     # (blocks, scales) logarithm of the prior probability of this block and scale among the candidate's
     log_share: Array
 
-    def __getitem__(self, rows: slice | IntArray | BoolArray) -> Alike:
+    def __getitem__(self, rows: slice | IntArray | BoolArray) -> Batch:
         """Some of the blocks."""
-        return Alike(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+        return Batch(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
 
 
-def alike(gram: Gram, blocks: Sequence[Block]) -> tuple[Alike, ...]:
+def batches(gram: Gram, blocks: Sequence[Block]) -> tuple[Batch, ...]:
     """Blocks by the number of their columns, and of those that are the effect's own; without those that do not show."""
     by_size: dict[tuple[int, int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
@@ -177,7 +177,7 @@ def alike(gram: Gram, blocks: Sequence[Block]) -> tuple[Alike, ...]:
             share = np.array([block.log_share for block in mine]) - np.log(count)
         unusual = np.array([block.is_unusual(row) for block, row in zip(mine, scales, strict=True)])
         share = np.where(np.isnan(scales), -np.inf, share[:, None] - np.where(unusual, np.log(priors.SELDOM), 0.0))
-        found = Alike(
+        found = Batch(
             block=np.array(every),
             candidate=np.array([block.candidate for block in mine]),
             columns=columns,
@@ -193,7 +193,7 @@ def alike(gram: Gram, blocks: Sequence[Block]) -> tuple[Alike, ...]:
     return tuple(out)
 
 
-def table(blocks: Sequence[Alike], tried: Sequence[Marginal], candidates: int, only: int | None = None) -> Table:
+def table(blocks: Sequence[Batch], tried: Sequence[Marginal], candidates: int, only: int | None = None) -> Table:
     """Evidence of every candidate.
 
     Args:
@@ -245,7 +245,7 @@ def _scales(gram: Gram, blocks: Sequence[Block], columns: IntArray, unit: Array)
     return np.where(shows & allowed, step**-every, np.nan)[:, : count.max(initial=1)], count
 
 
-def _evidence(blocks: Alike, tried: Sequence[Marginal]) -> tuple[Array, Array]:
+def _evidence(blocks: Batch, tried: Sequence[Marginal]) -> tuple[Array, Array]:
     """(blocks, scales) logarithm of the evidence of blocks, summed over the marginals.
 
     And the same with signs and sizes that do not occur.

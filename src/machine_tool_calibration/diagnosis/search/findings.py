@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rms
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
@@ -164,7 +164,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
 
 
 def _detectable(
-    candidate: Candidate, shaped: Shaped, inner: Array, variance: float, log_odds: float
+    candidate: Candidate, shaped: ShapedColumns, inner: Array, variance: float, log_odds: float
 ) -> dict[str, float]:
     """By coefficient, in its unit."""
     limits = np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in shaped.coefficients])

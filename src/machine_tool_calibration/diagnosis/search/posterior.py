@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Alike, Block, Point, Table, alike, columns_of, table
+from machine_tool_calibration.diagnosis.search.evidence import Batch, Block, Point, Table, batches, columns_of, table
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
@@ -43,7 +43,7 @@ class Posterior:
     """Probabilities of sets of candidates."""
 
     blocks: Sequence[Block]  # of all candidates
-    alike: Sequence[Alike]  # the same, prepared for `table`
+    batches: Sequence[Batch]  # the same, prepared for `table`
     log_odds: Array  # (candidates,) logarithm of the prior odds
     sets: tuple[Members, ...]  # with the members at their best points, the most probable first
     # logarithm of the evidence of each set times its prior odds, in the same order
@@ -119,7 +119,7 @@ class _Search:
     """The sets tried so far: by their members the logarithm of the weight, and the points."""
 
     blocks: Sequence[Block]
-    alike: Sequence[Alike]
+    batches: Sequence[Batch]
     log_odds: Array
     tried: Sequence[Marginal]
     exclusive: Sequence[frozenset[int]]
@@ -142,7 +142,7 @@ class _Search:
         """Every other candidate beside the members; each makes a set."""
         key = frozenset(members.items())
         if key not in self.grown:
-            self.grown[key] = found = table(self.alike, self.marginals_with(members), len(self.log_odds))
+            self.grown[key] = found = table(self.batches, self.marginals_with(members), len(self.log_odds))
             self._keep(members, self.prior(members) + found.log_null)
             for k in found.best:
                 if k not in members:
@@ -154,7 +154,7 @@ class _Search:
         for k in self.found[key][1] if len(key) > 1 else ():
             others = {j: point for j, point in self.found[key][1].items() if j != k}
             # Of the set alone: what rules out signs of the others was judged beside this member.
-            found = table(self.alike, self.marginals_with(others), len(self.log_odds), only=k)
+            found = table(self.batches, self.marginals_with(others), len(self.log_odds), only=k)
             if k in found.best:
                 self._keep_with(others, k, found)
         return self.found[key][1]
@@ -206,8 +206,8 @@ def search(
         exclusive: pairs of candidates of which one is a special case of the other: no set holds both.
         at_first: whether this is a first look, with fewer sizes of what does not reproduce.
     """
-    same, share = alike(gram, blocks), _COUNTS_AT_FIRST if at_first else _COUNTS
-    work = _Search(blocks, same, log_odds, _sizes_that_matter(gram, blocks, same, log_odds, share), exclusive)
+    prepared, share = batches(gram, blocks), _COUNTS_AT_FIRST if at_first else _COUNTS
+    work = _Search(blocks, prepared, log_odds, _probable_marginals(gram, blocks, prepared, log_odds, share), exclusive)
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
@@ -233,7 +233,7 @@ def search(
     order = np.argsort(-shares, kind="stable")
     return Posterior(
         blocks=blocks,
-        alike=same,
+        batches=prepared,
         log_odds=log_odds,
         sets=tuple(work.found[key][1] for key in ranked),
         log_weights={key: work.found[key][0] for key in ranked},
@@ -243,8 +243,8 @@ def search(
     )
 
 
-def _sizes_that_matter(
-    gram: Gram, blocks: Sequence[Block], same: Sequence[Alike], log_odds: Array, share: float
+def _probable_marginals(
+    gram: Gram, blocks: Sequence[Block], prepared: Sequence[Batch], log_odds: Array, share: float
 ) -> list[Marginal]:
     """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
 
@@ -254,7 +254,7 @@ def _sizes_that_matter(
     likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
     alone: set[Point] = set()
     for ratio in {likeliest, (0.0,) * len(likeliest)}:
-        found = table(same, [marginal_at(gram, ratio, log_prior)], len(log_odds))
+        found = table(prepared, [marginal_at(gram, ratio, log_prior)], len(log_odds))
         ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray, groups
-from machine_tool_calibration.diagnosis.search.candidates import Shaped, shaped_at
+from machine_tool_calibration.diagnosis.search.candidates import ShapedColumns, shaped_at
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch
-from machine_tool_calibration.diagnosis.search.evidence import Block, alike, columns_of, gram_of, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, batches, columns_of, gram_of, table
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
@@ -106,7 +106,7 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(pool: Pool, every: Pool, shaped: Sequence[Shaped], search: EffectSearch) -> np.ndarray:
+def _log_factors(pool: Pool, every: Pool, shaped: Sequence[ShapedColumns], search: EffectSearch) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
     The noise and what does not reproduce have the same size for all readings and for a part of them, and each pass, run
@@ -131,7 +131,7 @@ def _log_factors(pool: Pool, every: Pool, shaped: Sequence[Shaped], search: Effe
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        factor = float(table(alike(gram, [block]), [base.with_columns(columns_of(others), unit)], 1).log_factors[0])
+        factor = float(table(batches(gram, [block]), [base.with_columns(columns_of(others), unit)], 1).log_factors[0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out

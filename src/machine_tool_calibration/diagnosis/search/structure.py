@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, peaks
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
@@ -70,14 +70,14 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         # Axes that cross in the middle of their travel have no product.
         functions = [function for function in _functions(observations) if len(function[2])]
-        own = [_structure(c, how, (Shaped((), columns),)) for c, how, columns in functions]
+        own = [_structure(c, how, (ShapedColumns((), columns),)) for c, how, columns in functions]
         if len(observations) >= _ENOUGH:
             own += _zones(observations, partial(outside.explained, piece=piece))
             if np.ptp(observations.clock) > 0:
                 residual = pool.residuals[piece] / pool.sigma[piece]
                 own += _events(observations, residual, partial(outside.explained, piece=piece))
         for candidate in own:
-            shapes = tuple(Shaped(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
+            shapes = tuple(ShapedColumns(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
             assert candidate.dependence is not None
             label, (covariate, how) = pool.label(k), candidate.dependence
             of = (together((label, covariate), "") if label else covariate, how)
@@ -215,7 +215,7 @@ def _zones(observations: Observations, explained: _Explained) -> Iterator[Candid
             continue
         powers = explained(zone, np.arange(float(len(corners))))
         best = np.unique([np.argsort(-power)[:_CORNERS] for power in powers])
-        shapes = tuple(Shaped(corners[k], zone(k)) for k in best)
+        shapes = tuple(ShapedColumns(corners[k], zone(k)) for k in best)
         yield _structure(say("shape.axes", one=a, other=b), say("shape.zone_at", at=""), shapes, len(corners))
 
 
@@ -252,7 +252,7 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
     for shape, of in _sudden(observations):
         evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
         moments = np.union1d(evenly, _moments(time, of, explained)).tolist()
-        steps = tuple(Shaped((moment,), of(moment)) for moment in moments)
+        steps = tuple(ShapedColumns((moment,), of(moment)) for moment in moments)
         yield _structure(covariate, say(shape, at=""), steps, len(time))
     length, highest = float(np.ptp(time)), _samples(time) / 2.0
     for lowest, end in _BANDS:
@@ -292,7 +292,7 @@ def _moments(time: Array, of: Callable[[float], Array], explained: _Explained) -
 def _waves(covariate: str, time: Array, frequency: Array, powers: list[Array]) -> Iterator[Candidate]:
     """Those of a band, at the peaks of sums of squares."""
     near = {one for power in powers for one in _around(frequency, peaks(power)[:_PEAKS])}
-    waves = tuple(Shaped((1.0 / one,), _wave(time, one)) for one in sorted(near))
+    waves = tuple(ShapedColumns((1.0 / one,), _wave(time, one)) for one in sorted(near))
     if waves:
         # As many of them are independent as there are periods over the session.
         independent = round(float(np.ptp(time) * np.ptp(frequency)))
@@ -327,7 +327,7 @@ def _around(frequency: Array, places: IntArray) -> list[float]:
     return [float(frequency[k] + shift) for k in places for shift in (-half, 0.0, half)]
 
 
-def _structure(covariate: str, how: Said, shapes: tuple[Shaped, ...], equally: int = 0) -> Candidate:
+def _structure(covariate: str, how: Said, shapes: tuple[ShapedColumns, ...], equally: int = 0) -> Candidate:
     return Candidate(f"{covariate}: {how}", shapes, equally=equally, dependence=(covariate, how))
 
 
