@@ -3,11 +3,13 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.diagnosis import improve as improve_module
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, entry_of, improve
@@ -64,6 +66,31 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     assert after < 2 * last.left_at_tool
     (size,) = last.parameters
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
+
+
+def test_the_model_with_what_was_found_is_looked_at_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the first look does not see beside something larger; the probability of each is that of its own look."""
+    looked: list[tuple[str, ...]] = []
+    hidden = {(): ("backlash_y", 0.9), ("backlash_y",): ("backlash_x", 0.8)}
+
+    def look(chosen: FitRequest, **_: object) -> object:
+        looked.append(chosen.effects)
+        name, probability = hidden.get(chosen.effects, ("", 0.0))
+        search = SimpleNamespace(of=lambda effect: SimpleNamespace(probability=probability))
+        return SimpleNamespace(
+            accepted=(name,) * bool(name), set_aside=((),), gross_errors=(), chosen=chosen, search=search
+        )
+
+    monkeypatch.setattr(improve_module, "diagnose", look)
+    shares: list[float] = []
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=77)).session
+    done = improve(session, progress=lambda what, share: shares.append(share))
+    assert looked == [(), ("backlash_y",), ("backlash_y", "backlash_x")]
+    assert done.accepted == ("backlash_y", "backlash_x")
+    assert [step.change for step in done.steps] == ["", "backlash_y", "backlash_x"]
+    assert done.steps[-1].result.effects == done.accepted
+    assert [done.probability(name) for name in done.accepted] == [0.9, 0.8]
+    assert shares == sorted(shares) and shares[-1] == 1.0
 
 
 def test_what_is_left_can_be_compared_between_models() -> None:

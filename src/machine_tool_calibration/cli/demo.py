@@ -259,7 +259,7 @@ def _error_in_words(session: Session, before: MapError, after: MapError, u: floa
 
 
 def _truth_in_words(story: _Demonstration) -> str:
-    found = story.improvement.diagnosis.accepted
+    found = story.improvement.accepted
     if story.hidden is None:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
     hidden, groups = story.hidden, story.improvement.diagnosis.search.groups
@@ -284,7 +284,7 @@ def _document(story: _Demonstration) -> dict[str, Any]:
         "seconds": measured.seconds[0],
         "readings": len(measured.session.readings),
         "verdict": story.improvement.diagnosis.verdict,
-        "found": story.improvement.diagnosis.accepted,
+        "found": story.improvement.accepted,
         "hidden": story.hidden.id if story.hidden else None,
         "hidden_size": story.hidden.size if story.hidden else None,
         "map_error_rms_before": story.before.rms,

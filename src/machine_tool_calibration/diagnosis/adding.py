@@ -4,6 +4,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -25,23 +26,32 @@ from machine_tool_calibration.words import say, together
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
 
+class Added(NamedTuple):
+    """What the model can take of the probable effects."""
+
+    accepted: tuple[str, ...]  # those added, in this order
+    fitted: tuple[FittedSessions, ...]  # the first model and one after every one of them
+    refused: dict[str, str]  # by effect, why it is not what is missing
+    impossible: dict[str, str]  # by effect, why the data does not allow it all the same
+
+
 def add_probable(
     names: Sequence[str],
     search: EffectSearch,
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
-    unsized: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[tuple[FittedSessions, ...], dict[str, str], dict[str, str]]:
-    """The first model and one after every one of some effects that can be added, and why the others cannot.
+    spurious: Mapping[str, str] = MappingProxyType({}),
+    deferred: tuple[str, ...] = (),
+) -> Added:
+    """Those of some effects, the surest first, that can be added to the first model, and why the others cannot.
 
-    What has a time constant, and no size of its own any more beside a further effect, was that one: it is in `unsized`.
-
-    Returns:
-        The fits; by effect, why it is not what is missing; and by effect, why the data does not allow it all the same.
+    What has no size of its own before the others are added is tried once more beside them, where less is left; what has
+    none beside them was another effect, and is in `spurious`.
     """
-    fitted, accepted, refused, impossible = [first], list[str](), dict(unsized), dict[str, str]()
-    for name in (name for name in names if name not in unsized):
+    fitted, accepted, refused, impossible = [first], list[str](), dict(spurious), dict[str, str]()
+    order = [name for name in names if name not in (*spurious, *deferred)] + [n for n in deferred if n not in spurious]
+    for name in order:
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
         if not search.of(name).plausible:
             refused[name] = say("undetermined.no_such_size")
@@ -57,13 +67,18 @@ def add_probable(
                 impossible[name] = str(error)
                 continue
             if late:
-                return add_probable(names, search, predicted, first, fit_with, {**unsized, **late})
+                (one,) = late
+                if one in deferred or name == order[-1]:
+                    spurious = {**spurious, **late}
+                else:
+                    deferred = (*deferred, one)
+                return add_probable(names, search, predicted, first, fit_with, spurious, deferred)
             if not _explains(fitted[-1].joint, wider.joint, search.memory):
                 refused[name] = say("undetermined.explains_nothing")
                 continue
             fitted.append(wider)
             accepted.append(name)
-    return tuple(fitted), refused, impossible
+    return Added(tuple(accepted), tuple(fitted), refused, impossible)
 
 
 def _settled(fit: JointFit) -> None:

@@ -10,7 +10,7 @@ import threadpoolctl
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.adding import add_probable, better_special_cases, explain_nearly_all
+from machine_tool_calibration.diagnosis.adding import Added, add_probable, better_special_cases, explain_nearly_all
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
@@ -49,7 +49,7 @@ class Diagnosis:
     chosen: FitRequest  # the measurements, without outliers, and the first model
     searched: FitRequest  # the same as they were searched: places that were measured repeatedly may have their means
     verdict: str  # adequate, missing_effect, unexplained or outliers
-    accepted: tuple[str, ...]  # effects found, the surest first
+    accepted: tuple[str, ...]  # effects found, in the order in which the model takes them: the surest first
     search: EffectSearch  # what was found beside the model without them
     noise: Noise  # what is known of the readings' noise, with the first model
     fitted: tuple[FittedSessions, ...]  # of the first model and after every effect found
@@ -215,7 +215,7 @@ def _search(
     searched, first, repeated = _first_model(chosen)
     candidates, excluded = _candidates(chosen, first)
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    search, predicted, fitted, refused = _feasible(searched, first, candidates, progress)
+    search, predicted, added = _feasible(searched, first, candidates, progress)
     noise = search.noise[0]
     if repeated is not None:
         said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
@@ -224,19 +224,19 @@ def _search(
         chosen=chosen,
         searched=searched,
         verdict="",
-        accepted=tuple(name for name in search.accepted if name not in refused),
+        accepted=added.accepted,
         search=search,
         noise=noise,
-        fitted=fitted,
+        fitted=added.fitted,
         predicted=predicted,
-        refused=refused,
+        refused=added.refused | added.impossible,
         excluded=excluded,
         set_aside=aside,
     )
     verdict = _verdict(found)
     if verdict == "missing_effect":
         return replace(found, verdict=verdict)
-    return replace(found, verdict=verdict, accepted=(), fitted=fitted[:1])
+    return replace(found, verdict=verdict, accepted=(), fitted=added.fitted[:1])
 
 
 def _side_by_side(chosen: FitRequest) -> bool:
@@ -258,7 +258,7 @@ def _feasible(
     first: FittedSessions,
     candidates: Sequence[Candidate],
     progress: Callable[[str, float], None],
-) -> tuple[EffectSearch, dict[str, tuple[Prediction, ...]], tuple[FittedSessions, ...], dict[str, str]]:
+) -> tuple[EffectSearch, dict[str, tuple[Prediction, ...]], Added]:
     """The search among all effects but those that cannot be what is missing, as often as it finds such.
 
     What was probable beside them alone is not any longer. What is probable in their place alone is no cause for that,
@@ -266,8 +266,7 @@ def _feasible(
     all did, nothing is looked for again.
 
     Returns:
-        The search; how its effects do on readings that were left out; the first model's fit and one after every effect
-        added; and which probable effects were not, with the reason.
+        The search; how its effects do on readings that were left out; and which of them were added.
     """
     pool = Pool(first.joint)
     structures, side_by_side = structure_candidates(pool), _side_by_side(searched)
@@ -292,20 +291,20 @@ def _feasible(
             searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
         )
         names = [name for name in search.accepted if name in possible]
-        fitted, ruled_out, impossible = add_probable(names, search, predicted, first, fit_with)
-        refused |= ruled_out
-        if ruled_out and not explain_nearly_all(names, fitted, fit_with):
-            out = [search.of(name).candidate for name in ruled_out]
+        added = add_probable(names, search, predicted, first, fit_with)
+        refused |= added.refused
+        if added.refused and not explain_nearly_all(names, added.fitted, fit_with):
+            out = [search.of(name).candidate for name in added.refused]
             instead = any(better_special_cases(candidate, fit_with) for candidate in out)
             special = {name for candidate in out for name in candidate.contains}
             possible = {candidate.name for candidate in candidates} if instead else {*names, *special}
-            gone += map(search.of, ruled_out)
+            gone += map(search.of, added.refused)
         else:
             # The refused keep what was found of them.
             search = replace(search, findings=in_order([*search.findings, *gone]))
             in_place = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))
-            impossible |= {name: in_place for name in search.accepted if name not in names}
-            return search, predicted, fitted, refused | impossible
+            late = {name: in_place for name in search.accepted if name not in names}
+            return search, predicted, added._replace(refused=refused, impossible=added.impossible | late)
 
 
 def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise | None]:

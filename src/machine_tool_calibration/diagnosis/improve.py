@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop: diagnose, accept what is found, identify again, and see how far the error fell."""
+"""The loop: diagnose, accept what is found, identify again, see how far the error fell, and look again.
+
+What is found may hide something smaller, or have the wrong shape until it is fitted: so the model with it is looked at
+anew, until nothing more is found.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -19,6 +23,9 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
+
+# Looks at models, each with what the one before found.
+_LOOKS = 4
 
 
 @dataclass(frozen=True)
@@ -112,7 +119,18 @@ class Improvement:
     """A model made better."""
 
     diagnosis: Diagnosis  # of the first model
+    further: tuple[Diagnosis, ...]  # of the models with what was found, the last of which finds nothing more
     steps: tuple[Step, ...]  # the first model, then one for every change
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Effects that were found and added, in this order."""
+        return tuple(name for found in (self.diagnosis, *self.further) for name in found.accepted)
+
+    def probability(self, effect: str) -> float:
+        """That of an effect when it was added."""
+        looks = (self.diagnosis, *self.further)
+        return next(found.search.of(effect).probability for found in looks if effect in found.accepted)
 
     @property
     def provenance(self) -> Provenance:
@@ -123,7 +141,7 @@ class Improvement:
 def improve(
     subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
 ) -> Improvement:
-    """Find the missing effects, add them one after the other, and identify with each.
+    """Find the missing effects, add them one after the other, identify with each, and look again.
 
     Nothing is added unless the diagnosis names it as the cause; readings that it sets aside are left out first.
 
@@ -131,14 +149,26 @@ def improve(
     the model.
     """
     chosen = replace(FitRequest.of(subject), keep_all=True)
-    found = diagnose(chosen, progress=lambda what, share: progress(what, 0.9 * share))
-    aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
-    first = Step(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
-    steps = [first]
-    for change, wider in accepted_models(found, lambda what, share: progress(what, 0.9 + 0.1 * share)):
-        steps.append(Step(steps[-1], change, wider, identify_sessions(wider), aside))
+    steps = [Step(None, "", chosen, identify_sessions(chosen), tuple(() for _ in chosen.sessions))]
+    looks = list[Diagnosis]()
+    while len(looks) < _LOOKS and (not looks or looks[-1].accepted):
+        # Half of what is left of the way, nine tenths of it for the search.
+        left = 0.5 ** len(looks)
+        found = diagnose(chosen, progress=partial(_on_the_way, progress, 1.0 - left, 0.45 * left))
+        aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
+        identifying = partial(_on_the_way, progress, 1.0 - 0.55 * left, 0.05 * left)
+        for change, wider in accepted_models(found, identifying):
+            if (aside, wider.effects) != (steps[-1].set_aside, steps[-1].chosen.effects):
+                steps.append(Step(steps[-1], change, wider, identify_sessions(wider), aside))
+        looks.append(found)
+        chosen = chosen.adding(found.accepted)
     progress("done", 1.0)
-    return Improvement(found, tuple(steps))
+    return Improvement(looks[0], tuple(looks[1:]), tuple(steps))
+
+
+def _on_the_way(progress: Callable[[str, float], None], start: float, length: float, what: str, share: float) -> None:
+    """Report a share of a part of the way."""
+    progress(what, start + length * share)
 
 
 def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) -> Iterator[tuple[str, FitRequest]]:

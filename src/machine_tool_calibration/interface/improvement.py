@@ -35,16 +35,19 @@ class Improvement(Answer, Done):
 
     Attributes:
         diagnosis: of the first model.
+        further: of the models with what was found, the last of which finds nothing more.
         measurement: the readings.
     """
 
     diagnosis: Diagnosis
+    further: tuple[Diagnosis, ...]
     measurement: Measurement
 
     @classmethod
     def of(cls, found: Done, **more: Any) -> Self:
         """As `Answer.of`, the diagnosis too."""
-        return super().of(replace(found, diagnosis=Diagnosis.of(found.diagnosis)), **more)
+        looks = tuple(map(Diagnosis.of, found.further))
+        return super().of(replace(found, diagnosis=Diagnosis.of(found.diagnosis), further=looks), **more)
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
@@ -80,7 +83,7 @@ class Improvement(Answer, Done):
     def headline(self) -> str:
         """What was added and how far the residual fell, in one line."""
         first, last = self.steps[0].result, self.steps[-1].result
-        added = self.diagnosis.accepted
+        added = self.accepted
         return (
             f"{'added ' + ', '.join(added) if added else 'nothing added'}; residual "
             f"{micrometres(first.rms_residual)} → {micrometres(last.rms_residual)} µm RMS"
@@ -106,7 +109,7 @@ def improve(
     effects: str | PhysicalEffect | Sequence[str | PhysicalEffect] = (),
     own: Sequence[PhysicalEffect] = (),
 ) -> Improvement:
-    """Find the missing effects, add them one after the other, and identify with each.
+    """Find the missing effects, add them one after the other, identify with each, and look again.
 
     As `mtcal improve` does, without writing a history. Nothing is added unless the diagnosis names it as the cause;
     readings that do not belong to the rest are left out first.

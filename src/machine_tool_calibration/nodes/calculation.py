@@ -117,7 +117,7 @@ def improved(request: Request, progress: Progress) -> Outcome:
     before, after = first.result.rms_residual, last.result.rms_residual
     values = {
         "verdict": content["verdict"],
-        "accepted": " ".join(content["accepted"]),
+        "accepted": " ".join(steps.accepted),
         "effects": " ".join(effects),
         "set_aside": " ".join(str(row) for row in last.set_aside[0]),
         "rms_before": before,
@@ -127,7 +127,7 @@ def improved(request: Request, progress: Progress) -> Outcome:
     }
     residual = f"{micrometres(before)} -> {micrometres(after)} µm RMS residual"
     return Outcome(
-        f"improved by {', '.join(content['accepted']) or 'nothing'}: {residual}",
+        f"improved by {', '.join(steps.accepted) or 'nothing'}: {residual}",
         values,
         {**messages, **_map(request, last.result), "improvement/result": _text(improvement_document(steps))},
         effects=effects,

@@ -31,7 +31,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
     return {
         "format": "mtcal-improvement/1",
         "verdict": done.diagnosis.verdict,
-        "accepted": done.diagnosis.accepted,
+        "accepted": done.accepted,
         "set_aside": [row for rows in done.steps[-1].set_aside for row in rows],
         "steps": [step_document(step) for step in done.steps],
         "provenance": done.provenance.document(),
@@ -68,10 +68,10 @@ def improvement_parts(done: Improvement) -> Iterator[Part]:
 def _words(done: Improvement) -> str:
     found = done.diagnosis
     fell = _what_falls(done)
-    if found.accepted:
+    if done.accepted:
         grows = _what_grows(done)
         key = "improved.added_grows" if grows else "improved.added"
-        return say(key, names=", ".join(found.accepted), fell=fell, grows=grows)
+        return say(key, names=", ".join(done.accepted), fell=fell, grows=grows)
     if found.verdict == "outliers":
         return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
     return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing")
@@ -100,14 +100,13 @@ def _what_grows(done: Improvement) -> str:
 
 def steps_table(done: Improvement) -> TextTable:
     """The models on the way, one a row."""
-    chance = {f.name: f.probability for f in done.diagnosis.ranked}
     return table(
         say("improved.steps"),
         done.steps,
         say("improved.note"),
         model=lambda step: step.label,
         size_pm=lambda step: sizes_in_words([p for p in step.parameters if p.owner == step.change], ""),
-        probability=lambda step: probability(chance[step.change]) if step.change in chance else "",
+        probability=lambda step: probability(done.probability(step.change)) if step.change in done.accepted else "",
         residual=lambda step: micrometres(step.result.rms_residual),
         chi=lambda step: rounded(step.reduced_chi_square),
         map_moves=lambda step: micrometres(step.map_change),

@@ -168,12 +168,14 @@ class ImprovePage:
         self._go.value = 0
 
     def _improve(self) -> None:
-        """As `mtcal improve`: nothing is added unless the diagnosis names it."""
+        """As `mtcal improve`: nothing is added unless the diagnosis names it; then the model is looked at anew."""
 
         def add() -> None:
+            found = self._state.diagnosis
             if self._state.lacking:
-                self._work.run("adding what was found", self._state.improved())
+                again = self._improve if found is not None and found.accepted else lambda: None
+                self._work.run("adding what was found", self._state.improved().then(again))
             else:
-                self._note.object = escape("Nothing was found that is missing: see Diagnose.")
+                self._note.object = escape("Nothing further was found that is missing: see Diagnose.")
 
         self._work.run("looking for what is missing", self._state.diagnosed().then(add))

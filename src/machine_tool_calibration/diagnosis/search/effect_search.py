@@ -26,7 +26,7 @@ from machine_tool_calibration.diagnosis.search.posterior import Posterior, scale
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
-from machine_tool_calibration.model.model import Parameter
+from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import say
@@ -122,7 +122,10 @@ def search_effects(
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
     further = priors.ACCEPTED if side_by_side else priors.FURTHER
-    accepted = _accepted(columns, groups, found, further) if still else ()
+    # What laws leave that do not hold exactly looks like a further effect, in the model or not.
+    among_others = any(parameter.kind is Kind.EFFECT for parameter in fit.assembly.parameters)
+    limits = (further if among_others else priors.ACCEPTED, further)
+    accepted = _accepted(columns, groups, found, limits) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (led_by_places(_structure(columns, found, ()), fit, noise) or _of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
@@ -235,11 +238,13 @@ def _findings(columns: Columns, found: Posterior) -> tuple[Finding, ...]:
     return in_order([finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects])
 
 
-def _accepted(columns: Columns, groups: Sequence[tuple[str, ...]], found: Posterior, further: float) -> tuple[str, ...]:
+def _accepted(
+    columns: Columns, groups: Sequence[tuple[str, ...]], found: Posterior, limits: tuple[float, float]
+) -> tuple[str, ...]:
     """Effects that are in more likely than not, the surest first; of a group of look-alikes one stands for all.
 
-    Each given those before it: what is likely in different sets is not for that likely together. Beside the surest a
-    further one is accepted from the probability `further`.
+    Each given those before it: what is likely in different sets is not for that likely together. The surest is
+    accepted from the first of two probabilities, those beside it from the second.
     """
     place = columns.place
     left = [[place[name] for name in group] for group in groups]
@@ -249,7 +254,7 @@ def _accepted(columns: Columns, groups: Sequence[tuple[str, ...]], found: Poster
         probabilities = [round(found.of(*group, given=accepted), 2) for group in left]
         heads = [_head(columns, group, found, accepted) for group in left]
         best = max(range(len(left)), key=lambda j: (probabilities[j], found.log_factor(heads[j])))
-        if probabilities[best] <= (further if accepted else priors.ACCEPTED):
+        if probabilities[best] <= limits[bool(accepted)]:
             break
         accepted.append(heads[best])
         del left[best]
