@@ -78,7 +78,7 @@ def shown(node):
 
 
 def reading(index, time=None, displacement=0.0, **more):
-    columns = {"time": float(index if time is None else time), "displacement": displacement, **more}
+    columns = {"time": float(index if time is None else time), "setup_index": 0.0, "displacement": displacement, **more}
     message = JointState(name=list(columns), position=list(columns.values()))
     message.header.stamp = to_message(START + round(index * 1e9))
     return message
@@ -307,10 +307,13 @@ def test_a_stray_reading_does_not_cost_those_that_are_there(made):
         reading(9, reading_index=-1.0),
         reading(9, reading_index=0.5),
         JointState(name=["time", "displacement"], position=[9.0]),
+        reading(9, setup_index=0.5),
+        JointState(name=["setup_index"], position=[1e9]),
+        JointState(name=["displacement"], position=[1e-6]),
     ):
         hear(node, "reading", stray)
     assert values_of(shown(node))["readings"] == "4"
-    assert node.ignored == {"reading": 6}
+    assert node.ignored == {"reading": 9}
 
 
 def values_of(entry):

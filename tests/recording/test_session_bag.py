@@ -170,7 +170,7 @@ GOOD = ["time", "repeat", "setup_index", "target_index", "c", "displacement"]
         (GOOD, [9, 0, 0, np.nan, 0, 0], "/reading row 3: target is empty; session has P, Q, K"),
         (GOOD, [9, 0.5, 0, 0, 0, 0], "/reading row 3: repeat is 0.5, not 0, 1, 2 …"),
         (GOOD, [9, 0, 0, 0, 0], "/reading row 3: 6 names and 5 values"),
-        (["c", "c"], [0, 0], "/reading row 3: a name stands twice in c, c"),
+        ([*GOOD, "c"], [9, 0, 0, 0, 0, 0, 0], f"/reading row 3: a name stands twice in {', '.join(GOOD)}, c"),
         (GOOD, [1, 0, 0, 0, 0, 0], "/reading row 3: time runs backwards, from 6 s to 1 s"),
         (GOOD, [9, 0, 0, 0, 0, 0], "/reading: 1 station; rotary_axis needs at least 3 (no reading from B, C, D)"),
     ],
@@ -193,11 +193,31 @@ def test_a_damaged_description(tmp_path: Path) -> None:
     session = read_session(DATA / "tracking_2d")
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/session", TEXT)
+        bag.add_topic("/reading", JOINT_STATE)
         bag.write("/session", encode(TEXT, description_yaml(session.description).replace("repeats", "repeatz")), 0)
-        write(bag, session)
+        bag.write("/reading", encode_joint_state(1, "machine", GOOD, np.zeros(len(GOOD))), 1)
     with pytest.raises(SessionError) as caught:
         session_from_bag(tmp_path / "bag")
     assert str(caught.value) == (f"{tmp_path}/bag /session line 9: unknown key 'repeatz' (did you mean 'repeats'?)")
+
+
+def test_what_no_node_takes_spoils_no_recording(tmp_path: Path) -> None:
+    """A text that describes nothing, and messages that are no readings, among those of a measurement."""
+    session = read_session(DATA / "tracking_2d")
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/session", TEXT)
+        bag.add_topic("/reading", JOINT_STATE)
+        bag.write("/session", encode(TEXT, ""), 0)
+        bag.write("/reading", encode_joint_state(1, "machine", ["setup_index"], np.array([1e9])), 1)
+        write(bag, session, at=1)
+        bag.write("/session", encode(TEXT, "{}"), 900)
+        bag.write("/reading", encode_joint_state(901, "machine", ["displacement"], np.array([0.0])), 901)
+    assert_equal(session, session_from_bag(tmp_path / "bag"))
+    with BagWriter(tmp_path / "none") as bag:
+        write(bag, session, rows=slice(0, 0))
+        bag.write("/reading", encode_joint_state(1, "machine", ["setup_index"], np.array([0.0])), 1)
+    with pytest.raises(SessionError, match=r"/reading row 0: it has no displacement$"):
+        session_from_bag(tmp_path / "none")
 
 
 def test_neither_session_nor_recording(tmp_path: Path) -> None:

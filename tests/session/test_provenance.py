@@ -7,6 +7,7 @@ import datetime
 import hashlib
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.provenance import data_hash, provenance
 from machine_tool_calibration.simulation.simulate import simulate
-from machine_tool_calibration.simulation.spec import SimulationSpec
+from machine_tool_calibration.simulation.spec import PRESETS, SimulationSpec
 
 ABOUT = """about:
   machine: {name: VMC 850, serial: 007, software: 3.10}
@@ -185,7 +186,7 @@ def test_a_session_can_be_taken_before_the_last_reading() -> None:
 
 
 def message(time: float, index: float = math.nan) -> Reading:
-    return Reading(("time", "reading_index", "displacement"), (time, index, 0.0))
+    return Reading(("time", "reading_index", "setup_index", "displacement"), (time, index, 0.0, 0.0))
 
 
 def test_what_is_received_is_in_the_order_of_time_and_once() -> None:
@@ -203,7 +204,7 @@ def test_readings_of_one_time_that_differ_are_of_two_sessions() -> None:
     for time in (1.0, 2.0):
         assert not received.add(round(time * 1e9), message(time, time))
     assert not received.add(2_000_000_000, message(2.0, 2.0))
-    other = Reading(("time", "reading_index", "displacement"), (2.0, 2.0, 1e-5))
+    other = Reading(("time", "reading_index", "setup_index", "displacement"), (2.0, 2.0, 0.0, 1e-5))
     assert received.add(2_000_000_000, other) == 2
     assert received.in_order() == [other] and received.missing == 2
 
@@ -218,3 +219,19 @@ def test_readings_that_never_came_are_counted() -> None:
     assert (received.missing, received.expected, received.lacks_the_first) == (5, 8, False)
     received.forget()
     assert received.missing == 0
+
+
+@pytest.mark.parametrize(("columns", "why"), [
+    ({"setup_index": 0.0}, "it has no displacement"),
+    ({"displacement": 1e-6}, "it has no setup_index"),
+    ({"displacement": 1e-6, "setup_index": 0.5}, "setup_index is 0.5"),
+    ({"displacement": 1e-6, "setup_index": 9.0}, "setup_index is 9, not 0 to 2"),
+])  # fmt: skip
+def test_a_message_that_can_be_no_reading_of_the_session_changes_nothing(columns: dict[str, float], why: str) -> None:
+    description = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=1)).session.description
+    description = description.model_copy(update={"setups": description.setups[:3]})
+    received = Received()
+    received.add(1, message(math.nan, 0.0), description)
+    with pytest.raises(SessionError, match=f"^{re.escape(why)}$"):
+        received.add(2, Reading(tuple(columns), tuple(columns.values())), description)
+    assert len(received) == 1 and received.missing == 0

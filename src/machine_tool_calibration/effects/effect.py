@@ -87,6 +87,9 @@ class Effect(ABC):
         for name in self.needs:
             values = observations.readings.columns.get(name)
             if values is None:
+                axis = name.rpartition("_")[2].upper()
+                if axis in ("X", "Y", "Z") and axis not in observations.session.description.machine.kinematics.linear:
+                    return f"the chain has no axis {axis}"
                 return f"the column {name} was not recorded"
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"

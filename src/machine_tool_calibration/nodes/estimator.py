@@ -25,6 +25,7 @@ from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer
 from machine_tool_calibration.session.collect import Reading, Received
+from machine_tool_calibration.session.description import Description
 
 _CALCULATIONS = (
     ("identify", "identifying", identified),
@@ -44,6 +45,7 @@ class Estimator(ManagedNode):
     def activate(self) -> None:
         """See `ManagedNode`."""
         self._text = ""
+        self._description: Description | None = None
         self._received = Received()
         self._resets = 0
         # Publishers of readings: all so far, and those that there are.
@@ -82,13 +84,14 @@ class Estimator(ManagedNode):
             find_effects([name for name in effects or () if name], own_effects(files or ()))
 
     def _described(self, message: String) -> None:
-        description_of(message.data)  # refused here, and not at the next request
+        self._description = description_of(message.data)  # refused here, and not at the next request
         self._text = message.data
 
     def _read(self, message: JointState) -> None:
         reading = Reading(list(message.name), list(message.position))
-        forgotten = self._received.add(from_message(message.header.stamp), reading)
+        forgotten = self._received.add(from_message(message.header.stamp), reading, self._description)
         if forgotten:
+            self._description = None  # it may be that of the session before
             self.get_logger().info(f"another session has begun; {forgotten} readings forgotten")
         self._heard, self._unheard = True, False
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from machine_tool_calibration.errors import RecordingError
+from machine_tool_calibration.errors import CalibrationError, RecordingError, SessionError
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, joint_state, text
 from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, SESSION, find_topics
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.collect import INDEX_COLUMNS, READING_INDEX, Collector
-from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.collect import ALWAYS, INDEX_COLUMNS, READING_INDEX, Collector
+from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, places_among
 
@@ -52,23 +52,31 @@ def _runs(
     """The runs that have readings, with text columns of the user's own."""
     place = Place(f"{bag.path} {names[SESSION]}", f"{bag.path} {names[READING]}")
     # The first description may stand behind the first readings, where the recorder met it late.
-    described = bag.read(next(iter(bag.messages([names[SESSION]]))), text)
-    collector = Collector(parse_description(described, place.description), place)
+    described, description = _first_description(bag, names[SESSION], place)
+    collector = Collector(description, place)
     kept: dict[str, np.ndarray] = {}
-    again = False
+    again, fault = False, ""
     for message in bag.messages(wanted):
         if message.topic == names[SESSION]:
             latest = bag.read(message, text)
+            try:
+                description = parse_description(latest, place.description)
+            except CalibrationError:
+                continue  # ignored, as by every node of the graph
             again = True
             if latest != described:
                 if len(collector):
                     yield collector, kept
                 described = latest
-                collector, kept = Collector(parse_description(described, place.description), place), {}
+                collector, kept = Collector(description, place), {}
         elif message.topic == labels:
             kept = _labels(bag, message)
         else:
             reading = bag.read(message, joint_state)
+            lacking = ALWAYS.difference(reading.names)
+            if lacking:  # ignored, as by every node of the graph
+                fault = fault or f"{place.row(len(collector))}: it has no {min(lacking)}"
+                continue
             # the same description again, and its clock starts anew: the procedure was started again
             if again and reading.value("time") < collector.last_time:
                 yield collector, kept
@@ -77,6 +85,20 @@ def _runs(
             again = False
     if len(collector):
         yield collector, kept
+    elif fault:
+        raise SessionError(fault)
+
+
+def _first_description(bag: BagReader, topic: str, place: Place) -> tuple[str, Description]:
+    """The first text that describes a session, and what it says; the first one's fault where none does."""
+    fault: CalibrationError | None = None
+    for message in bag.messages([topic]):
+        described = bag.read(message, text)
+        try:
+            return described, parse_description(described, place.description)
+        except CalibrationError as error:
+            fault = fault or error
+    raise fault or RecordingError(f"{bag.path}: no messages on {topic}")
 
 
 def _labels(bag: BagReader, message: Message) -> dict[str, np.ndarray]:

@@ -187,9 +187,12 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
         yield say("budget.largest", places=together(places, "; "))
     # Also where only some of a quantity's numbers are so, of which none is the largest.
     above = budget.numbers.u > budget.u
-    more = list(dict.fromkeys(_quantity_name(one) for one in sums if above[one.quantity.members].any()))
-    if more:
-        yield say("budget.readings_show_more", names=together(more, ", "))
+    more = {_quantity_name(one): bool(above[one.index]) for one in reversed(sums) if one.index is not None}
+    some = [_quantity_name(one) for one in sums if above[one.quantity.members].any()]
+    for key, is_largest in (("budget.readings_show_more", True), ("budget.readings_show_more_some", False)):
+        names = [name for name in dict.fromkeys(some) if more.get(name, True) is is_largest]
+        if names:
+            yield say(key, names=together(names, ", "))
     taken = [named("contributor", line.name) for line in budget.lines if line.how == "draws"]
     if taken:
         own = f"{100 / math.sqrt(2 * DRAWS):.0f}"

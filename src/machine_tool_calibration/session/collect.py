@@ -27,6 +27,9 @@ READING_INDEX = "reading_index"
 itself does not need it.
 """
 
+ALWAYS = frozenset(("setup_index", "displacement"))
+"""Columns of every `reading` message."""
+
 _BLOCK = 4096  # readings
 _SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
 _MOST_READINGS = 10_000_000  # readings of a session
@@ -123,6 +126,22 @@ class Reading:
     values: Sequence[float]  # `position`
 
 
+def require_reading(reading: Reading, description: Description | None = None) -> dict[str, float]:
+    """The columns of a message that can be a reading; one of which no session could be made would spoil all others.
+
+    A SessionError: it has no displacement or no setup, or is of a place that the description, if it is known, has not.
+    """
+    columns = dict(zip(reading.names, reading.values, strict=True))
+    if lacking := ALWAYS.difference(columns):
+        raise SessionError(f"it has no {min(lacking)}")
+    for name, (_, key) in INDEX_COLUMNS.items():
+        index, entries = columns.get(name, math.nan), getattr(description, key, None)
+        end = _MOST_READINGS if entries is None else len(entries)
+        if not (math.isnan(index) or (0 <= index < end and index == int(index))):
+            raise SessionError(f"{name} is {index:g}" + ("" if entries is None else f", not 0 to {end - 1}"))
+    return columns
+
+
 class Received:
     """The readings of the session that is being measured, as messages bring them: in any order, and some twice."""
 
@@ -135,12 +154,13 @@ class Received:
     def __len__(self) -> int:
         return len(self._readings)
 
-    def add(self, stamp: int, reading: Reading) -> int:
+    def add(self, stamp: int, reading: Reading, description: Description | None = None) -> int:
         """Take one more reading, and say how many were forgotten because it is the first of another session.
 
-        `stamp` is the message's, ns. A SessionError says that it is numbered or timed in a way that cannot be.
+        `stamp` is the message's, ns; the description, if there is one, is that of the readings so far. A SessionError
+        says that it can be none of them, or is numbered or timed in a way that cannot be.
         """
-        columns = dict(zip(reading.names, reading.values, strict=True))
+        columns = require_reading(reading)
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
         if not (math.isnan(index) or (0 <= index < _MOST_READINGS and index == int(index))):
             raise SessionError(f"{READING_INDEX} is {index:g}")
@@ -158,6 +178,8 @@ class Received:
         if is_other or not (is_same and np.array_equal(there.values, reading.values, equal_nan=True)):
             forgotten = len(self)
             self.forget()
+        else:
+            require_reading(reading, description)
         self._origin = origin
         self._readings[stamp] = reading
         if not math.isnan(index):

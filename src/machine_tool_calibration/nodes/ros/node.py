@@ -24,12 +24,16 @@ from rclpy.serialization import deserialize_message
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray, String
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.sound import require_sound
 
 _PARAMETERS = resources.files("machine_tool_calibration.nodes") / "parameters.yaml"
-_BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
+_BYTES = 1_000_000  # of a message: to make it of small parts takes up to 0.6 s, in which the node answers nobody
+_BULK_BYTES = 16_000_000  # of one whose content is one text or array: a session's description of 100 000 targets
+_BULK = (String, PointCloud2, Float64MultiArray)
 _REASON_LENGTH = 200  # characters of a reason
 # A service's usual queue holds 10 requests of all its clients, and each client's 10 answers, those to the other clients
 # among them: what comes in a burst beyond that is lost without a word.
@@ -129,7 +133,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
         def guarded(data: bytes) -> None:
             try:
                 # before anything is made of it: a million texts leave holes in the interpreter's memory
-                if len(data) > _BYTES:
+                if len(data) > (_BULK_BYTES if msg_type in _BULK else _BYTES):
                     raise CalibrationError(f"it has {len(data)} bytes")
                 message = deserialize_message(data, msg_type)
                 require_sound(message)
@@ -164,7 +168,8 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
                 answered = callback(request, response)
                 return await answered if inspect.isawaitable(answered) else answered
             except Exception as error:
-                self.note_fault(srv_name, error)
+                if not isinstance(error, CalibrationError):  # that is a refusal, and no fault of the node's
+                    self.note_fault(srv_name, error)
                 if hasattr(response, "success"):
                     response.success, response.message = False, _reason(error)
                 return response
