@@ -94,8 +94,8 @@ class Diagnosis:
     @cached_property
     def left(self) -> tuple[Structure, ...]:
         """What is left beside the effects found, the most telling first."""
-        joint = self.with_found.joint
-        return led_by_places(self.search.left, joint, [noise_of(own) for own in joint.fits])
+        left, joint = _left(self), self.with_found.joint
+        return led_by_places(left, joint, [noise_of(own) for own in joint.fits])
 
     @property
     def noisy(self) -> bool:
@@ -113,7 +113,7 @@ class Diagnosis:
         first, last, expected, known = self.fits[0].solution, self.fits[-1].solution, 1.0, np.inf
         if any(spec_of(session).reads_machine for session in self.chosen.sessions):
             repeats = self.noise.from_repeats
-            if not self.search.accepted or (repeats is None and not self.search.left):
+            if not self.search.accepted or (repeats is None and not self.left):
                 return False
             if repeats is not None:
                 expected, known = (repeats / self.noise.declared) ** 2, self.noise.repeats
@@ -346,7 +346,7 @@ def _verdict(found: Diagnosis) -> str:
         return "unexplained"
     if search.unknown > priors.ACCEPTED and search.nothing < priors.LIKELY and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
-        left = max((s.share for s in search.left), default=0.0) * last.chi_square
+        left = max((s.share for s in found.left), default=0.0) * last.chi_square
         if not found.accepted or left > first.chi_square - last.chi_square:
             return "unexplained"
     if found.accepted:
@@ -355,6 +355,19 @@ def _verdict(found: Diagnosis) -> str:
     if search.nothing < 1.0 - priors.SURE and not _good_enough(found):
         return "unexplained"
     return "outliers" if found.gross_errors else "adequate"
+
+
+@single_blas()
+def _left(found: Diagnosis) -> tuple[Structure, ...]:
+    """What is left beside the accepted effects as they were fitted.
+
+    The search has them at trial values of their nonlinear coefficients, beside which more would be left.
+    """
+    if not found.accepted:
+        return found.search.structure
+    joint = found.fits[-1]
+    structures, side_by_side = structure_candidates(Pool(joint)), _side_by_side(found.searched)
+    return search_effects(joint, [], structures, side_by_side=side_by_side).structure
 
 
 @single_blas()

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,6 @@ from scipy.special import logit, logsumexp
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
 from machine_tool_calibration.diagnosis.search.columns import Columns, exclusive, outside_the_model
-from machine_tool_calibration.diagnosis.search.evidence import table
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
@@ -76,7 +75,6 @@ class EffectSearch:
     structure: tuple[Structure, ...]  # what the residuals depend on, the most significant first
     unknown: float  # probability that a structure without a cause is in them
     accepted: tuple[str, ...]  # ids of the effects that are missing more likely than not, the surest first
-    left: tuple[Structure, ...]  # structure that is left beside these
     nothing: float  # probability that nothing is missing
     # ids of the effects of every set that matters, with its probability; structures without a cause are `unknown`
     sets: tuple[tuple[tuple[str, ...], float], ...]
@@ -127,7 +125,7 @@ def search_effects(
     limits = (further if among_others else priors.ACCEPTED, further)
     accepted = _accepted(columns, groups, found, limits) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
-    structure = (led_by_places(_structure(columns, found, ()), fit, noise) or _of_places(fit, noise)) if still else ()
+    structure = (led_by_places(_structure(columns, found), fit, noise) or _of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
     return EffectSearch(
         fit=fit,
@@ -138,7 +136,6 @@ def search_effects(
         structure=structure,
         unknown=found.of(*range(len(candidates), len(columns.candidates))) if still else 0.0,
         accepted=accepted,
-        left=_structure(columns, found, accepted) if accepted else structure,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.marginals[0].ratio, strict=True)),
@@ -301,20 +298,18 @@ def _absorbed(columns: Columns) -> tuple[Absorbed, ...]:
     return tuple(out)
 
 
-def _structure(columns: Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
-    """Significant structures beside the accepted effects, the most significant first."""
-    tried = found.marginals_with([columns.place[name] for name in accepted])
-    beside = table(found.batches, tried, len(columns.candidates)) if accepted else found.single
-    out = []
-    for k in (k for k in beside.best if k >= columns.effects):
-        log_factor = float(beside.log_factors[k])
+def _structure(columns: Columns, found: Posterior) -> tuple[Structure, ...]:
+    """Significant structures in what the model leaves, the most significant first."""
+    single, marginal, out = found.single, found.marginals_with([])[0], []
+    for k in (k for k in single.best if k >= columns.effects):
+        log_factor = float(single.log_factors[k])
         # Judged by the structures' prior against all others: what no effect says.
         p = found.p_value(k, log_factor)
         if p <= priors.STRUCTURE_P:
-            block = columns.blocks[beside.best[k].block]
-            explained = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
+            block = columns.blocks[single.best[k].block]
+            explained = float(np.sum(fitted_in(marginal, block.place)[1] ** 2))
             words = _dependence(columns.candidates[k], block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, explained / tried[0].squares)))
+            out.append((p, -log_factor, Structure(*words, p, explained / marginal.squares)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
