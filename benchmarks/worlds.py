@@ -293,7 +293,7 @@ def stage(plan: str, seed: int, *, yaw: float) -> World:
     travel = {"x": (-half, half), "y": (-half, half), "z": (0.0, 0.1)}
     sizes = Amplitudes(positioning=4e-6, straightness=2e-6, angular=0.0, squareness=2e-5)
     machine = build_machine(MachineSpec(random=sizes), chain=chain, travel=travel, seed=rng)
-    turned = machine.with_tables([("ECX", random_smooth(rng, -half, half, [yaw], knots=5)[0])])
+    turned = machine.with_errors([("ECX", random_smooth(rng, -half, half, [yaw], knots=5)[0])], {})
     line = np.linspace(-half, half, 20)
     grids = [np.meshgrid(line[i : i + 14], line[j : j + 14]) for j in (0, 6) for i in (0, 6)]
     setup = np.repeat(np.arange(4), 2 * 14**2)

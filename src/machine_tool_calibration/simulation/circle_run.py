@@ -13,7 +13,7 @@ from machine_tool_calibration.session.record import NotNegative, Positive
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
-from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, spanned, true_errors
 from machine_tool_calibration.simulation.scene import Environment, Scene
 from machine_tool_calibration.simulation.sensors import distance
 
@@ -108,13 +108,8 @@ class CirclePlan(Plan):
             return np.asarray(path - length[mounting] + disturbance.added(sight))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            at = np.unique(position, axis=0)
-            return {
-                "points": at.tolist(),
-                "position_error": machine.position_error(at).tolist(),
-                "centres": (centre + off).tolist(),
-                "lengths": length.tolist(),
-            }
+            found = true_errors(machine, np.unique(position, axis=0))
+            return found | {"centres": (centre + off).tolist(), "lengths": length.tolist()}
 
         description = {
             "setups": [
@@ -123,4 +118,4 @@ class CirclePlan(Plan):
                 for plane, feed in setups
             ]
         }
-        return Measurement(description, scene, read, None, axis_columns(position, direction), truth=judged)
+        return Measurement(description, scene, read, None, truth=judged)

@@ -113,8 +113,7 @@ class DiagonalPlan(plan.Plan):
             return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
 
         description = {"step": list(self.step), "blocks": self.blocks, "setups": [run.model_dump() for run in runs]}
-        columns = plan.axis_columns(position, direction)
-        return plan.Measurement(description, scene, read, block, columns, truth=judged)
+        return plan.Measurement(description, scene, read, block, truth=judged)
 
     def _axis_error(self, machine: VirtualMachine, axis: int) -> Array:
         """(blocks + 1, 3) position errors along an axis from the corner, less those of the corner, m."""

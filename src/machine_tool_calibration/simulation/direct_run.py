@@ -12,7 +12,7 @@ from machine_tool_calibration.session.values import Instrument
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import rotate
-from machine_tool_calibration.simulation.plan import Interval, Measurement, Pause, Plan, Vector3, axis_columns, spanned
+from machine_tool_calibration.simulation.plan import Interval, Measurement, Pause, Plan, Vector3, spanned, true_errors
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
@@ -122,15 +122,13 @@ class DirectPlan(Plan):
             return deviation + disturbance.added(sight)
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            at = np.unique(points, axis=0)
-            out: dict[str, Any] = {"points": at.tolist(), "position_error": machine.position_error(at).tolist()}
+            out = true_errors(machine, np.unique(points, axis=0))
             if datum != "none":
                 out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
             return out
 
-        description = self._described(datum)
-        columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
-        return Measurement(description, scene, read, None, columns, truth=judged)
+        columns = {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
+        return Measurement(self._described(datum), scene, read, None, columns, truth=judged)
 
     def _described(self, datum: str) -> dict[str, Any]:
         name = self.axis.upper() if self.kind in ("iso230_2", "straightness") else self.kind

@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.motions import Table, rotate
+from machine_tool_calibration.simulation.motions import Table, rotate, summed
 from machine_tool_calibration.simulation.scene import Scene
 
 
@@ -89,7 +89,7 @@ def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
     for part in parts:
         for name, value in vars(part).items():
             if isinstance(value, Mapping):
-                total[name] = total[name] | {key: total[name].get(key, 0.0) + item for key, item in value.items()}
+                total[name] = summed(total[name], value)
             else:
                 total[name] = total[name] + value
     return Disturbance(**total)

@@ -22,6 +22,7 @@ from machine_tool_calibration.simulation.motions import (
     Table,
     motion_names,
     rotate,
+    summed,
     turn,
 )
 
@@ -120,15 +121,7 @@ class VirtualMachine:
 
     def tool_rotation(self, command: Array, errors: Mapping[str, Array] | None = None) -> Array:
         """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece; `errors` as above."""
-        from scipy.spatial.transform import Rotation  # slow to load, and few instruments need it
-
-        at = np.atleast_2d(np.asarray(command, float))
-        total = np.broadcast_to(np.eye(3), (len(at), 3, 3))
-        for axis in self._directions:
-            error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
-            if error is not None:
-                total = total @ Rotation.from_rotvec(error[:, 3:]).as_matrix()
-        return total
+        return np.stack([self.carried(command, unit, errors) for unit in np.eye(3)], axis=-1)
 
     def carried(self, command: Array, vector: Array, errors: Mapping[str, Array] | None = None) -> Array:
         """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3); `errors` as above."""
@@ -173,20 +166,13 @@ class VirtualMachine:
         turned: Array = self.on_table(vector, angle, axis, shift) - origin
         return turned
 
-    def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
-        """The same machine with further error motions (`EXX`, table) added."""
+    def with_errors(self, tables: Iterable[tuple[str, Table]], squareness: Mapping[str, float]) -> VirtualMachine:
+        """The same machine with further error motions (`EXX`, table) and squareness errors, rad, added."""
         motions = dict(self.motions)
-        for name, table in extra:
+        for name, table in tables:
             axis = name[-1]
-            motions[axis] = motions.get(axis, AxisMotion(axis)).with_tables([(name, table)])
-        return replace(self, motions=motions)
-
-    def with_squareness(self, extra: Mapping[str, float]) -> VirtualMachine:
-        """The same machine with squareness errors added, rad."""
-        total = dict(self.squareness)
-        for name, value in extra.items():
-            total[name] = total.get(name, 0.0) + value
-        return replace(self, squareness=total)
+            motions[axis] = AxisMotion(axis, (*motions.get(axis, AxisMotion(axis)).tables, (name, table)))
+        return replace(self, motions=motions, squareness=summed(self.squareness, squareness))
 
     def tabulated(self, nodes: Mapping[str, tuple[float, ...]]) -> VirtualMachine:
         """The machine whose motions of these axes are linear between nodes, where they keep their values."""

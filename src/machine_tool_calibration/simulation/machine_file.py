@@ -15,7 +15,14 @@ from machine_tool_calibration.session.record import AnyRecord, NotNegative, Reco
 from machine_tool_calibration.session.text import read_yaml
 from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, random_periodic, random_smooth
+from machine_tool_calibration.simulation.motions import (
+    AxisMotion,
+    Table,
+    motion_names,
+    random_periodic,
+    random_smooth,
+    summed,
+)
 
 
 class Amplitudes(Record):
@@ -164,11 +171,9 @@ def build_machine(
         if len(name) != 3 or name[-1] not in parsed.axes:
             raise ModelError(f"error motion {name!r}: the chain {text} has no such axis")
         tables.append((name, table.table()))
-    machine = machine.with_tables(tables).with_squareness(spec.squareness)
-    line = dict(machine.average_line)
-    for name, value in spec.average_line.items():
-        line[name] = line.get(name, 0.0) + value
-    return replace(machine, average_line=line, tool_offset=spec.tool_offset)
+    line = summed(machine.average_line, spec.average_line)
+    machine = replace(machine, average_line=line, tool_offset=spec.tool_offset)
+    return machine.with_errors(tables, spec.squareness)
 
 
 def read_machine(path: Path | str) -> MachineSpec:
@@ -197,7 +202,7 @@ def machine_document(machine: VirtualMachine) -> dict[str, Any]:
                 "interpolation": tables.interpolation,
             }
     return {
-        "chain": "-".join(["w", *machine.chain.workpiece_side, "b", *machine.chain.tool_side, "t"]),
+        "chain": str(machine.chain),
         "travel": {axis.lower(): list(ends) for axis, ends in machine.travel.items()},
         "rotation_sign": machine.rotation_sign,
         "random": None,

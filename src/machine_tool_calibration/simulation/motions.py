@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -174,9 +174,10 @@ class AxisMotion:
             x = np.minimum(np.maximum(position, low), high)
         return _value(breaks, pieces, x)
 
-    def with_tables(self, extra: Iterable[tuple[str, Table]]) -> AxisMotion:
-        """The same axis with further tables added."""
-        return AxisMotion(self.axis, (*self.tables, *extra))
+
+def summed(one: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """Errors by name, those of one name added."""
+    return {**one, **{name: one.get(name, 0.0) + value for name, value in more.items()}}
 
 
 def constant(low: float, high: float, value: float) -> Table:

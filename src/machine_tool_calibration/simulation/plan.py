@@ -28,7 +28,7 @@ class Measurement:
     read: Callable[[VirtualMachine, Disturbance], Array]
     # (n,) readings of the same number are changes since the first of them; None where the readings are absolute
     datum: IntArray | None
-    columns: Mapping[str, Array]  # numeric columns of the session besides time and environment
+    columns: Mapping[str, Array] = field(default_factory=dict)  # numeric columns of the session besides the scene's
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text columns
     # machine -> what the measurement should find, for judging
     truth: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}
@@ -90,12 +90,9 @@ def declared_places(ids: Iterable[str], places: Array, uncertainty: float) -> li
     return [{"id": name, "position": place, **own} for name, place in zip(ids, places.tolist(), strict=False)]
 
 
-def axis_columns(position: Array, direction: Mapping[str, Array]) -> dict[str, Array]:
-    """A session's columns of X, Y and Z: position (n, 3), m, and the sign of the last move by letter."""
-    return {
-        **{axis: position[:, index] for index, axis in enumerate("xyz")},
-        **{f"dir_{axis.lower()}": signs for axis, signs in direction.items()},
-    }
+def true_errors(machine: VirtualMachine, places: Array) -> dict[str, Any]:
+    """Position errors that a measurement should find at places (n, 3), m."""
+    return {"points": places.tolist(), "position_error": machine.position_error(places).tolist()}
 
 
 def spanned(points: Array) -> dict[str, tuple[float, float]]:

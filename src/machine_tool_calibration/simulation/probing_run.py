@@ -250,12 +250,6 @@ class ProbingPlan(Plan):
                 *errors, nominal[label], outward[label], form[label], angle, actual, normal, radius, bend[label]
             )
 
-        columns = {
-            "c": angle,
-            "x": command[:, 0],
-            "y": command[:, 1],
-            **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
-        }
         labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
         description = {
             "probe": {"stylus_diameter": self.stylus_diameter},
@@ -263,7 +257,7 @@ class ProbingPlan(Plan):
             "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(turns)],
         }
         judged, known = partial(self._judged, form), partial(self._known, length_error)
-        return Measurement(description, scene, read, None, columns, labels, judged, known)
+        return Measurement(description, scene, read, None, labels=labels, truth=judged, known=known)
 
     def _judged(self, form: Array, machine: VirtualMachine) -> dict[str, Any]:
         """What the measurement should find."""

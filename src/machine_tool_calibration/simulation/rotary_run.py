@@ -143,16 +143,8 @@ class RotaryPlan(plan.Plan):
             "targets": plan.declared_places(names, nominal, self.target_uncertainty),
             "setups": plan.declared_places(map(plan.station_name, count()), estimate, self.station_uncertainty),
         }
-        letter = self.axis.lower()
-        return plan.Measurement(
-            description,
-            scene,
-            read,
-            run,
-            {letter: angle, f"dir_{letter}": direction},
-            {"target": np.array(names, dtype=object)[label]},
-            judged,
-        )
+        labels = {"target": np.array(names, dtype=object)[label]}
+        return plan.Measurement(description, scene, read, run, labels=labels, truth=judged)
 
     def _errors(self, machine: VirtualMachine) -> dict[str, Any]:
         """What the measurement should find of the axis."""

@@ -106,6 +106,13 @@ class Scene:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def columns(self) -> dict[str, Array]:
+        """What a session records of them: time, position and sign of the last move of each axis, environment."""
+        axes = {axis.lower(): self.along(axis) for axis in self.direction}
+        signs = {f"dir_{axis.lower()}": sign for axis, sign in self.direction.items()}
+        return {"time": self.time, **axes, **signs, **self.environment(self.time)}
+
     def along(self, axis: str) -> Array:
         """(n,) commanded position of an axis, m or rad."""
         return self.position[:, "XYZ".index(axis)] if axis in "XYZ" else self.angle

@@ -119,7 +119,7 @@ def _apply(
 ) -> tuple[VirtualMachine, Disturbance]:
     """The machine with its extra errors, and everything else that disturbs the readings."""
     disturbance = combine((base, *(flaw.disturb(measurement.scene) for flaw in chosen)))
-    return machine.with_tables(disturbance.tables).with_squareness(disturbance.squareness), disturbance
+    return machine.with_errors(disturbance.tables, disturbance.squareness), disturbance
 
 
 def _choose(
@@ -222,7 +222,7 @@ def _readings(measurement: Measurement, displacement: Array) -> Readings:
         setup=scene.setup,
         repeat=scene.repeat,
         displacement=displacement,
-        columns={"time": scene.time, **measurement.columns, **scene.environment(scene.time)},
+        columns={**scene.columns, **measurement.columns},
         labels=measurement.labels,
         row=np.arange(len(scene)),
     )

@@ -41,7 +41,7 @@ class LiveMachine:
         self.machine, self.flaws, self.environment = machine, tuple(flaws), environment or Environment()
         fixed = self.disturbance(self.scene(0.0, np.zeros(3)))
         # with the flaws' extra error motions and squareness
-        self.machine = machine.with_tables(fixed.tables).with_squareness(fixed.squareness)
+        self.machine = machine.with_errors(fixed.tables, fixed.squareness)
 
     def scene(
         self,

@@ -115,16 +115,12 @@ class TrackingPlan(plan.Plan, Pointer):
             return sight.path + disturbance.added(replace(sight, change=plan.since_first(sight.path, setup)))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            return {
-                "points": targets.tolist(),
-                "position_error": machine.position_error(targets).tolist(),
-                "stations": truth.tolist(),
-            }
+            return plan.true_errors(machine, targets) | {"stations": truth.tolist()}
 
         description = {
             "dimension": self.dimension,
             "pointing": self.pointing,
             "setups": plan.declared_places(map(plan.station_name, count()), estimate, self.station_uncertainty),
         }
-        columns = plan.axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
+        columns = {"azimuth": azimuth, "elevation": elevation}
         return plan.Measurement(description, scene, read, setup, columns, truth=judged)
