@@ -36,6 +36,11 @@ class Readings:
     def __len__(self) -> int:
         return len(self.displacement)
 
+    @property
+    def state(self) -> IntArray:
+        """(n,) number shared by readings that are the same in all but the displacement, in what is missing too."""
+        return groups(self.setup, self.repeat, *self.columns.values(), *self.labels.values())
+
     def column(self, name: str) -> Array:
         """The column of that name; a SessionError if the session does not have it."""
         if name not in self.columns:

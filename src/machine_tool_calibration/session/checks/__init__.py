@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from machine_tool_calibration.arrays import first_true
+from machine_tool_calibration.arrays import first_true, groups, occurrence
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 from machine_tool_calibration.session.checks.mistakes import check_consistency, refuse_contradictions
@@ -73,21 +73,18 @@ def _check_doubled(session: Session, place: Place) -> None:
     if time is None:
         return
     # Only readings at the same time can be the same; what is missing in both is equal in both.
-    _, at_time, count = np.unique(np.where(np.isnan(time), 0.0, time), return_inverse=True, return_counts=True)
+    at_time = groups(time)
+    count = np.bincount(at_time)
     # Where the clock does not distinguish readings, equal ones may be different ones.
     if len(count) == len(readings) or len(count) < _TOLD_BY_TIME * len(readings):
         return
-    import pandas as pd  # here, because it takes long and most sessions never need it
-
-    readings = readings.select(count[at_time.reshape(-1)] > 1)
-    table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
-    table = pd.concat([table, pd.DataFrame({**readings.columns, **readings.labels}).add_prefix("column ")], axis=1)
-    table = table.fillna(0.0)
-    again = np.flatnonzero(table.duplicated().to_numpy() & np.isfinite(readings.displacement))
+    readings = readings.select(count[at_time] > 1)
+    same = groups(readings.state, readings.displacement)
+    again = np.flatnonzero((occurrence(same) > 0) & np.isfinite(readings.displacement))
     if not len(again):
         return
     at = int(again[0])
-    first = int(np.argmax((table == table.iloc[at]).all(axis=1)))
+    first = int(np.argmax(same == same[at]))
     more = f", and {len(again) - 1} more like it" if len(again) > 1 else ""
     raise SessionError(
         f"{place.row(readings.row[at])}: the same reading as {place.row(readings.row[first])}, at the same time and in "

@@ -12,7 +12,7 @@ is commanded contradicts by a single row; of what is read, only by more than gro
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -100,11 +100,14 @@ def in_degrees(session: Session, what: str, *names: str) -> Supposition:
 
 def exchanged_axes(session: Session, dimension: int) -> Iterator[Supposition]:
     """Two of the columns x, y and z exchanged."""
-    position = session.readings.position()
-    for a, b in itertools.combinations(range(dimension), 2):
-        one, other = "xyz"[a], "xyz"[b]
+    return exchanged_columns(session, dict(zip("xyz"[:dimension], session.readings.position().T, strict=False)))
+
+
+def exchanged_columns(session: Session, values: Mapping[str, Array]) -> Iterator[Supposition]:
+    """Two of some columns, by name each (n,), exchanged."""
+    for one, other in itertools.combinations(values, 2):
         what = f"the columns {one} and {other} look exchanged"
-        yield with_columns(session, what, **{one: position[:, b], other: position[:, a]})
+        yield with_columns(session, what, **{one: values[other], other: values[one]})
 
 
 def exchanged(session: Session, kind: str, among: Sequence[str]) -> Iterator[Supposition]:
@@ -210,9 +213,7 @@ def _slips(session: Session) -> Iterator[Supposition]:
         yield from shifted(session, name, value)
         for factor, what in _TIMES:
             yield with_columns(session, f"{name} looks {what}", **{name: value / factor})
-    for one, other in itertools.combinations(values, 2):
-        what = f"the columns {one} and {other} look exchanged"
-        yield with_columns(session, what, **{one: values[other], other: values[one]})
+    yield from exchanged_columns(session, values)
 
 
 def _size(value: float, unit: str) -> str:

@@ -59,8 +59,7 @@ def _rounded(session: Session) -> Iterator[str]:
 def _copied(session: Session) -> Iterator[str]:
     """Rows of one setup, repeat, place and direction of which each has the same reading as the one before it."""
     readings = session.readings.select(np.isfinite(session.readings.displacement))
-    state = groups(readings.setup, readings.repeat, *readings.columns.values(), *readings.labels.values())
-    again, equal = occurrence(state) > 0, occurrence(groups(state, readings.displacement)) > 0
+    again, equal = (occurrence(group) > 0 for group in (readings.state, groups(readings.state, readings.displacement)))
     if equal.sum() >= _FEWEST_COPIES and (equal == again).all() and np.ptp(readings.displacement):
         yield say("suspicion.copied", n=int(equal.sum()), row=int(readings.row[equal][0]))
 
