@@ -14,6 +14,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.checks.nominal_geometry import nominal_points, turned
 from machine_tool_calibration.session.description import Probing
 
 # How far beside a point's normal the axes may stand for the touch to be meant for it, m.
@@ -57,9 +58,7 @@ class Part:
 
     @cached_property
     def _points(self) -> tuple[Array, Array]:
-        place = np.array([point.position for point in self.description.workpiece])
-        normal = np.array([point.normal for point in self.description.workpiece])
-        return place, normal / np.linalg.norm(normal, axis=1)[:, None]
+        return nominal_points(self.description)
 
     def touch(self, point: int, c: float, standoff: float) -> NominalTouch:
         """The planned touch of a point with C at an angle, rad."""
@@ -87,8 +86,7 @@ class Part:
         return NominalTouch(k, place[k] + self.radius * normal[k], normal[k], float(standoff[k]))
 
     def _turned(self, vectors: Array, c: float) -> Array:
-        cos, sin = np.cos(self.sign * c), np.sin(self.sign * c)
-        return np.asarray(vectors @ np.array([[cos, sin], [-sin, cos]]))
+        return turned(vectors, np.full(len(vectors), self.sign * c))
 
 
 def judge(displacement: float, standoff: float) -> str:

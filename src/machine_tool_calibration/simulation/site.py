@@ -20,6 +20,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import NominalTouch, Part
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.checks.nominal_geometry import nominal_points
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
 from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Sight, combine
@@ -277,11 +278,8 @@ class SimulatedPart:
         self.part = part
         noise = site.spec.noise
         self.noise = part.description.standard_uncertainty.displacement if noise is None else noise
-        points = part.description.workpiece
-        self._form = form * np.random.default_rng([site.spec.seed, _FORM_STREAM]).normal(size=len(points))
-        self._place = np.array([[*point.position, 0.0] for point in points])
-        self._normal = np.array([[*point.normal, 0.0] for point in points])
-        self._normal /= np.linalg.norm(self._normal, axis=1)[:, None]
+        self._place, self._normal = (np.pad(vectors, ((0, 0), (0, 1))) for vectors in nominal_points(part.description))
+        self._form = form * np.random.default_rng([site.spec.seed, _FORM_STREAM]).normal(size=len(self._place))
 
     def trigger(self, touch: NominalTouch, c: float, z: float, time: float, setup: int) -> float:
         """Displacement at which the probe triggers, along the outward normal from the nominal surface, m.

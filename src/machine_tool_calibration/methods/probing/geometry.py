@@ -16,7 +16,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.model.rigid_body import MachineTable
-from machine_tool_calibration.session.checks.nominal_geometry import turned
+from machine_tool_calibration.session.checks.nominal_geometry import nominal_points, turned
 from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings, places_among
 
@@ -36,13 +36,6 @@ class Touches:
     # (n,) displacement of the surface along its normal per radian that the table turns counter-clockwise seen from +Z,
     # m/rad: n . (R(90 deg) p) of Eq. (13)
     lever: Array
-
-
-def nominal_points(description: Probing) -> tuple[Array, Array]:
-    """(N, 2) points of the workpiece in its frame, m, and (N, 2) their outward unit normals."""
-    position = np.array([point.position for point in description.workpiece])
-    normal = np.array([point.normal for point in description.workpiece])
-    return position, normal / np.linalg.norm(normal, axis=1)[:, None]
 
 
 def point_means(columns: Array, point: IntArray, weight: Array, n_points: int) -> tuple[Array, Array]:

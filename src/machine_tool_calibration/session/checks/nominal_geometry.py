@@ -16,9 +16,16 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, group_ranges
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import exchanged
-from machine_tool_calibration.session.description import Place, StationSetup
+from machine_tool_calibration.session.description import Place, Probing, StationSetup
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session, places_among
+
+
+def nominal_points(description: Probing) -> tuple[Array, Array]:
+    """(N, 2) points of the workpiece in its frame, m, and (N, 2) their outward unit normals."""
+    position = np.array([point.position for point in description.workpiece])
+    normal = np.array([point.normal for point in description.workpiece])
+    return position, normal / np.linalg.norm(normal, axis=1)[:, None]
 
 
 def turned(points: Array, angle: Array) -> Array:
