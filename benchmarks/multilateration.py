@@ -155,8 +155,10 @@ def run_mtcal(data: Data) -> Answer:
     theta_motion = np.vstack([motion.of_stations(STATIONS), np.zeros((k, motion.count))])
 
     def covariances() -> Any:
-        places = motion.of_targets(np.ascontiguousarray(data.target.T))
-        return points_in_inner_datum(problem.parts[0], solution, 0, places, theta_motion)
+        target = np.ascontiguousarray(data.target.T)
+        return points_in_inner_datum(
+            problem.parts[0], solution, 0, lambda points: motion.at(target[:, points]), theta_motion
+        )
 
     result, covariance = timed(covariances)
     uncertainty = np.sqrt(np.einsum("aan->an", result.covariance)).T

@@ -24,7 +24,7 @@ def main() -> None:
     model = fit.model
     assert isinstance(model, ProbingModel)
     n_points = len(model.description.workpiece)
-    closed = np.sqrt(np.diag(responses(fit, model.touches.point, n_points).combine(np.eye(n_points)).covariance))
+    closed = np.sqrt(np.diag(responses(fit, model.touches.point, n_points).combine(np.eye(n_points))[1]))
     print(f"{n_points} points, {len(model.observations)} touches")
     print(f"{'touches':14}{'draws':>8}{'best of 5, ms':>15}{'largest difference, in chance':>32}")
     for distribution in ("normal", "rectangular", "triangular"):

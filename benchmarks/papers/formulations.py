@@ -16,10 +16,11 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.build import build
-from machine_tool_calibration.methods.step_diagonal.geometry import Run, halts_of, runs_of, step_diagonal_of
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, halts_of, runs_of
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Kind
+from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -69,7 +70,7 @@ def increments(session: Session) -> Increments:
     Raises:
         ModelError: the diagonals are not those of the paper.
     """
-    description = step_diagonal_of(session)
+    description = session.description.as_a(StepDiagonal)
     runs = runs_of(description)
     blocks = description.blocks
     diagonals = [run for run in runs if run.diagonal]
@@ -129,7 +130,7 @@ def _averaged(
     lacking: list[str],
 ) -> Array:
     """(axes, N, n) weights of the readings in each move, averaged over setups and repeats; NaN where none was read."""
-    readings, description = session.readings, step_diagonal_of(session)
+    readings, description = session.readings, session.description.as_a(StepDiagonal)
     total = np.zeros((len(axes), blocks, len(readings)))
     count = np.zeros((len(axes), blocks))
     for k in members:
@@ -245,7 +246,6 @@ def identify_by_formulation(session: Session, name: str) -> Profiles:
     Raises:
         ModelError: no such formulation, or runs or readings that it needs are missing.
     """
-    step_diagonal_of(session)
     if name in _MODELS:
         model = build(session, _MODELS[name])
         return model.profiles(fit_models([model]).fits[0])

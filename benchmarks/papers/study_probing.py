@@ -174,7 +174,7 @@ class _Expanded:
         return cls(
             np.array([point.position for point in points]),
             2.0 * content["workpiece_error_u"],
-            2.0 * np.sqrt(np.diag(found.combine(still).covariance)),
+            2.0 * np.sqrt(np.diag(found.combine(still)[1])),
             content["grid"],
             2.0 * content["position_error_u"].max(axis=1),
             {name: 2.0 * content[f"{name}_u"] for name in _TABLE_2},

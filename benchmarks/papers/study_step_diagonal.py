@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.methods.step_diagonal.geometry import step_diagonal_of
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles
+from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import MachineSpec, SimulationSpec, TableSpec, simulate
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
@@ -112,7 +112,7 @@ def _twin() -> Session:
     wanted = np.array([_TABLE[name][2] * 1e-6 - aligned[name][0] for name in ("EXX", "EYY", "EZZ")])
     tilts = _tilts(wanted)
     readings = session.readings
-    setups = step_diagonal_of(session).setups
+    setups = session.description.as_a(StepDiagonal).setups
     tilt = np.array([tilts.get(entry.id, np.zeros(3)) for entry in setups])[readings.setup]
     start = np.array([entry.start for entry in setups])[readings.setup]
     moved = readings.displacement + np.einsum("nj,nj->n", tilt, readings.position() - start)

@@ -136,6 +136,25 @@ def gaps_around(angle: Array) -> tuple[Array, Array]:
     return ordered, np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
 
 
+def inverse_root(inner: Array, squares: Array, least: float) -> Array:
+    """(k, r) of which the product with its transpose is the inverse of inner products (k, k) outside of a model.
+
+    Of columns whose squared norms were (k,) before it was projected off: what it left no share of them is left out.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(squares, np.finfo(float).tiny))
+    scaled = inner * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    kept = values > least
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) * scale[:, None])
+
+
+def orthonormal_basis(columns: Array) -> Array:
+    """(n, r) orthonormal basis of what columns (n, t) span, each as long as the others."""
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)])
+
+
 def rms(values: Array) -> float:
     """Root mean square; 0 of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

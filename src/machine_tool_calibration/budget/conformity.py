@@ -181,11 +181,8 @@ class _Conformity:
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
-        figures = self.figures(name)
-        if not figures:
-            unit = unit_of_figure(name)
-            return [Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))]
-        return [self.verdict(figure, tolerance, rule, level) for figure in figures]
+        nothing = _Figure(name, unit_of_figure(name), np.zeros(0, dtype=np.int64), None, signed=False)
+        return [self.verdict(figure, tolerance, rule, level) for figure in self.figures(name) or [nothing]]
 
     def figures(self, name: str) -> list[_Figure]:
         """What a tolerance of that name is for; nothing where this measurement does not publish it."""

@@ -37,11 +37,6 @@ class CircleEffect(ReversalEffect):
         setup = observations.readings.setup
         return np.asarray(np.bincount(setup, np.abs(self.along(observations)))[setup] > 0.0)
 
-    def share_of_path(self, observations: Observations) -> Array:
-        """(n,) way of the axis per way along the circle, with its sign."""
-        across = np.sqrt(np.maximum(1.0 - self.along(observations) ** 2, 0.0))
-        return np.asarray(self.approach(observations) * across)
-
 
 class LateEffect(AxisEffect):
     """An effect with one time constant."""

@@ -27,6 +27,7 @@ class ServoMismatch(CircleEffect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """What a lag of the axis changes where it is on its way round."""
-        velocity = observations.readings.column("feed") * self.share_of_path(observations)
-        late = -velocity * self.along(observations)
+        along = self.along(observations)
+        share_of_path = self.approach(observations) * np.sqrt(np.maximum(1.0 - along**2, 0.0))
+        late = -observations.readings.column("feed") * share_of_path * along
         return np.asarray(np.where(self.is_in_plane(observations), late, 0.0))[None]

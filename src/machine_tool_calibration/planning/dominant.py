@@ -77,17 +77,18 @@ class Dominant:
 
 
 def dominant(
-    session: Session, *, model: str | None = None, angular: float = ANGULAR, drift: float = DRIFT
+    session: Session, *, model: str | None = None, angular: float | None = ANGULAR, drift: float = DRIFT
 ) -> Dominant | None:
     """What dominates the uncertainty of a session's map, and what would make it smaller; None without a map.
 
     Of a planned session only the geometry matters. Expected are `angular`, the root mean square of the machine's
-    angular errors, rad, and `drift`, the rate of the reading's drift, m/s.
+    angular errors, rad (None: what the readings say of it), and `drift`, the rate of the reading's drift, m/s.
     """
     try:
         built = build_model(session, model)[0]
     except CalibrationError:
         return None
+    angular = angular_size(built) if angular is None else angular
     angles = isinstance(built, StepDiagonalModel) and built.spread is not None
     drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
     readings = _uncertainty(session, "translations" if angles else model, 0.0, 0.0)
@@ -114,11 +115,7 @@ def dominant(
 
 def limits_of(session: Session, model: str | None = None) -> Dominant | None:
     """What dominates the uncertainty of a measured session, with what it says of angular errors and warming."""
-    try:
-        built = build_model(session, model)[0]
-    except CalibrationError:
-        return None
-    return dominant(session, model=model, angular=angular_size(built), drift=DRIFT * max(_warming(session), 1.0))
+    return dominant(session, model=model, angular=None, drift=DRIFT * max(_warming(session), 1.0))
 
 
 def angular_size(model: MethodModel) -> float:

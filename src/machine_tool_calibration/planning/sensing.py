@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, last_sign
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, inverse_root, last_sign
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation import priors
@@ -173,11 +173,7 @@ class Sensed:
 
 def _inverse(inner: Array, squares: Array) -> Array:
     """Inverse of inner products, without what the model absorbs."""
-    scale = np.sqrt(np.maximum(squares, np.finfo(float).tiny))
-    scaled = inner / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-    keep = values > priors.ABSORBED
-    half = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
+    half = inverse_root(inner, squares, priors.ABSORBED)
     return np.asarray(half @ half.T)
 
 

@@ -64,7 +64,7 @@ def touch_steps(procedure: Procedure) -> Iterator[Step]:
         for point in reversed(order) if back else order:
             touch = part.touch(point, setup.c, standoff)
             position = {**touch.at(standoff), "c": setup.c, **held}
-            _check(procedure, position, f"point {session.workpiece[point].id!r} is touched from")
+            check_travel(procedure, position, f"point {session.workpiece[point].id!r} is touched from")
             part.meant(position, 2 * standoff)  # refuses where it could be meant for two points
             above = {**position, **safe}
             via = () if not safe else (above,) if before is None else ({**before, **safe}, above)
@@ -88,7 +88,8 @@ def _held(procedure: Procedure) -> dict[str, float]:
     return dict(points[0])
 
 
-def _check(procedure: Procedure, position: Mapping[str, float], what: str) -> None:
+def check_travel(procedure: Procedure, position: Mapping[str, float], what: str) -> None:
+    """Refuse (SessionError) a position of some axes outside of their travel; `what` begins the message."""
     for name, value in position.items():
         low, high = _travel(procedure, name)
         if not low <= value <= high:
@@ -267,7 +268,7 @@ def targets_of(procedure: Procedure) -> list[dict[str, float]]:
                 f"procedure {procedure.name}: path names the axis {name!r}; the machine has {', '.join(sorted(axes))}"
             )
     for number, target in enumerate(targets):
-        _check(procedure, target, f"target {number} is at")
+        check_travel(procedure, target, f"target {number} is at")
     return targets
 
 

@@ -73,7 +73,7 @@ def test_a_pin_of_four_points_by_hand() -> None:
     assert isinstance(pin, Circle) and not pin.hole
     np.testing.assert_allclose(pin.rows, [[0.5, 0, -0.5, 0], [0, 0.5, 0, -0.5], [0.25] * 4], atol=1e-12)
     # Independent touches, and an error that all points share: it is in the radius alone.
-    found = Responses(
+    deviation, covariance = Responses(
         np.array([3e-6, 1e-6, -1e-6, 5e-6]),
         np.full(4, TOUCH**2),
         np.full((4, 1), 2e-6),
@@ -81,10 +81,8 @@ def test_a_pin_of_four_points_by_hand() -> None:
         np.zeros(4),
         np.ones(4, dtype=bool),
     ).combine(pin.rows)
-    np.testing.assert_allclose(found.value, [2e-6, -2e-6, 2e-6], atol=1e-15)
-    np.testing.assert_allclose(
-        found.covariance, np.diag([TOUCH**2 / 2, TOUCH**2 / 2, TOUCH**2 / 4 + 4e-12]), atol=1e-20
-    )
+    np.testing.assert_allclose(deviation, [2e-6, -2e-6, 2e-6], atol=1e-15)
+    np.testing.assert_allclose(covariance, np.diag([TOUCH**2 / 2, TOUCH**2 / 2, TOUCH**2 / 4 + 4e-12]), atol=1e-20)
 
 
 def test_material_that_grows_makes_a_hole_smaller_and_a_wall_stand_out() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from papers.formulations import identify_by_formulation
 
-from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build, second_order
 from machine_tool_calibration.methods.step_diagonal.geometry import (
@@ -18,7 +18,6 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
     block_positions,
     halts_of,
     runs_of,
-    step_diagonal_of,
 )
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.session.checks.suspicion import suspicions
@@ -114,14 +113,6 @@ def test_blocks_are_where_they_were_commanded_to_be_if_not_where_they_are_stated
             assert found == pytest.approx(expected)
     unequal = moved(lambda x: 0.2 * x)
     assert unequal[0] == pytest.approx(1.2 * stated[0]) and unequal[1] == pytest.approx(stated[1])
-
-
-def test_another_method_is_refused(exact):
-    from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
-
-    other = simulate(SimulationSpec(plan=TrackingPlan(dimension=2))).session
-    with pytest.raises(ModelError, match="tracking_interferometer session has no step diagonals"):
-        step_diagonal_of(other)
 
 
 def test_diagonals_by_iso_230_6_are_those_of_the_machine(exact: Callable[..., Simulated]) -> None:

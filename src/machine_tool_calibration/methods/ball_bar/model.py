@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
@@ -72,11 +71,9 @@ class CircleModel(MethodModel):
 
 
 def build(session: Session, model: str = "circle") -> CircleModel:
-    """The model of a session of circles. A ModelError: no reading."""
+    """The model of a session of circles, of which at least one was read."""
     description = session.description.as_a(BallBar)
     readings = session.readings.select(np.flatnonzero(np.isfinite(session.readings.displacement)))
-    if not len(readings):
-        raise ModelError("no reading: every displacement is missing")
     readings = _with_feed(description, readings)
     position = readings.position()
     arm, plane = arms(description, readings)

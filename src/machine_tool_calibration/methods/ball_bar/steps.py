@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.ball_bar.circle import places
 from machine_tool_calibration.procedure.description import Procedure, Spread
-from machine_tool_calibration.procedure.steps import Step
+from machine_tool_calibration.procedure.steps import Step, check_travel
 from machine_tool_calibration.session.description import BallBar, CircleSetup
 
 
@@ -58,13 +58,7 @@ def _angles(procedure: Procedure) -> list[float]:
 def _place(procedure: Procedure, setup: CircleSetup, angle: float) -> Mapping[str, float]:
     # To the picometre, so that an axis that stands has not moved.
     place = dict(zip("xyz", np.round(places(setup, np.array([angle]))[0][0], 12).tolist(), strict=True))
-    for axis in setup.plane.lower():
-        low, high = procedure.session.machine.travel.get(axis, (-np.inf, np.inf))
-        if not low <= place[axis] <= high:
-            raise SessionError(
-                f"procedure {procedure.name}: circle {setup.id} reaches {axis} = {place[axis]:.6g}, outside the travel "
-                f"{low:g} to {high:g}"
-            )
+    check_travel(procedure, {axis: place[axis] for axis in setup.plane.lower()}, f"circle {setup.id} reaches")
     return place
 
 

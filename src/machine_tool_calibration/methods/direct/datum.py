@@ -65,14 +65,6 @@ class SetupDatum:
     words: str  # the datum in words
 
 
-def setup_columns(columns: Array, setup: IntArray, count: int) -> Array:
-    """(setups p, n) columns of all setups' unknowns from those (p, n) of each reading's own setup."""
-    p, n = columns.shape
-    out = np.zeros((count, p, n))
-    out[setup, :, np.arange(n)] = columns.T
-    return out.reshape(-1, n)
-
-
 def setup_datum(kind: str, observed: Observations) -> SetupDatum:
     """Unknowns of the setups: none, an offset, or shift and turn about the middle of the setup's points."""
     ids, setup, n = observed.session.setup_ids, observed.readings.setup, len(observed)

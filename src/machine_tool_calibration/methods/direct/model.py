@@ -11,7 +11,7 @@ What a fit says of it are position errors, tables, and the figures of ISO 230-2 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -91,11 +91,11 @@ def point_errors(chain: Chain, position: Array, sensed: BoolArray) -> tuple[Poin
     return tuple(PointErrors(chain, f"e{axis}", places) for axis in axes)
 
 
-def point_datum(points: tuple[PointErrors, ...], observed: Observations, setup: IntArray) -> Iterator[Constraint]:
+def point_datum(points: tuple[PointErrors, ...], observed: Observations) -> Iterator[Constraint]:
     """No common shift or turn of all places, then none of those of a setup: what setups may leave open of them."""
     if not points:
         return
-    places = points[0].nodes
+    places, setup = points[0].nodes, observed.readings.setup
     motions = rigid_motions(places - places.mean(axis=0))
     every = np.ones(len(places), dtype=bool)
     read = [np.asarray(points[0].weights(observed.position[setup == s]).any(axis=1)) for s in np.unique(setup)]
@@ -214,45 +214,27 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
     observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)
     setups = datum.setup_datum(description.datum, observations)
     asked, chain = description.terms if terms is None else tuple(terms), description.machine.kinematics
+    made = partial(DirectModel, observations=observations, priors=(), setups=setups)
     if free:
-        return _free(observations, setups, point_errors(chain, position, sensed_axes(direction)))
+        points = point_errors(chain, position, sensed_axes(direction))
+        terms_of_points = tuple(one.term(observations) for one in points)
+        constraints, fixed = _needed(list(point_datum(points, observations)), terms_of_points, setups, observations)
+        return made(
+            terms=terms_of_points, constraints=constraints, left_out=setups.left_out, datum=setups.words, tables=(),
+            fixed=fixed, points=points,
+        )  # fmt: skip
     kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position, count))
-    constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
+    constraints, words, fixed = _datum(kept, machine, setups, observations)
     laid_down = {name for constraint in constraints for name in constraint.weights}
     unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]
     if unmoved:  # nothing of them is left: their axis stood at one position, where the datum says 0
         left += tuple(NotDetermined(name, say("undetermined.one_position", axis=name[2])) for name in unmoved)
         kept = tuple(table for table in kept if table.name not in unmoved)
         machine = tuple(term for term in machine if term.name not in unmoved)
-        constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
-    return DirectModel(
-        observations=observations,
-        terms=machine,
-        constraints=constraints,
-        priors=(),
-        left_out=left + setups.left_out,
-        datum=together((setups.words, *words), "; "),
-        tables=kept,
-        setups=setups,
-        fixed=fixed,
-    )
-
-
-def _free(observations: Observations, setups: datum.SetupDatum, points: tuple[PointErrors, ...]) -> DirectModel:
-    setup, count = observations.readings.setup, len(observations.session.setup_ids)
-    terms = tuple(one.term(observations) for one in points)
-    chosen, fixed = _needed(list(point_datum(points, observations, setup)), terms, setups, setup, count)
-    return DirectModel(
-        observations=observations,
-        terms=terms,
-        constraints=tuple(chosen),
-        priors=(),
-        left_out=setups.left_out,
-        datum=setups.words,
-        tables=(),
-        setups=setups,
-        fixed=fixed,
-        points=points,
+        constraints, words, fixed = _datum(kept, machine, setups, observations)
+    said = together((setups.words, *words), "; ")
+    return made(
+        terms=machine, constraints=constraints, left_out=left + setups.left_out, datum=said, tables=kept, fixed=fixed
     )
 
 
@@ -281,29 +263,31 @@ def _sensed_terms(
 
 
 def _datum(
-    tables: tuple[MachineTable, ...], terms: tuple[Term, ...], setups: datum.SetupDatum, setup: IntArray, count: int
+    tables: tuple[MachineTable, ...], terms: tuple[Term, ...], setups: datum.SetupDatum, observed: Observations
 ) -> tuple[tuple[Constraint, ...], list[str], Array]:
     """Zeros and slopes of tables, as many as the readings leave open: straightness first, positioning last."""
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
     candidates = [constraint for table in ordered for constraint in table_datum((table,))]
-    needed, fixed = _needed(candidates, terms, setups, setup, count)
+    needed, fixed = _needed(candidates, terms, setups, observed)
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]
     words = [f"{', '.join(zero)} = 0"] if zero else []
     words += [say("datum.from_line", names=", ".join(slope))] if slope else []
-    return tuple(needed), words, fixed
+    return needed, words, fixed
 
 
 def _needed(
-    candidates: Sequence[Constraint], terms: tuple[Term, ...], setups: datum.SetupDatum, setup: IntArray, count: int
-) -> tuple[list[Constraint], Array]:
+    candidates: Sequence[Constraint], terms: tuple[Term, ...], setups: datum.SetupDatum, observed: Observations
+) -> tuple[tuple[Constraint, ...], Array]:
     """Those conditions that fix what the readings leave open, and the (unknowns, q) changes that they fix."""
-    columns = np.concatenate([datum.setup_columns(setups.columns, setup, count), *(term.columns for term in terms)])
+    of_setup = np.equal.outer(np.arange(len(observed.session.setup_ids)), observed.readings.setup)
+    of_setups = (of_setup[:, None] * setups.columns).reshape(-1, len(observed))
+    columns = np.concatenate([of_setups, *(term.columns for term in terms)])
     basis, scale = datum.silent_directions(columns)
     names = [p.name for p in setups.parameters] + [q.name for term in terms for q in term.parameters]
     place = {name: k for k, name in enumerate(names)}
     chosen, fixed = datum.needed_rows(basis, [weight_row(place, c.weights, len(names)) * scale for c in candidates])
-    return [candidates[k] for k in chosen], fixed * scale[:, None]
+    return tuple(candidates[k] for k in chosen), fixed * scale[:, None]
 
 
 _OPEN = {"none": "tables", "offset": "offsets", "rigid": "shifts"}

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, inverse_root
 from machine_tool_calibration.effects.error_motion import polynomials
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, interpolation, parse_motion
 from machine_tool_calibration.methods.joint.model import CommonModels
@@ -227,12 +227,8 @@ class _Scores:
     def _inverse(self, k: int) -> tuple[Array, int]:
         """Pseudo-inverse of a difference's block, without what the model takes up, and its rank."""
         own = self._own(k)
-        scale = 1.0 / np.sqrt(np.maximum(self.squares[own], 1e-300))
-        block = self.gram[own, own] * np.outer(scale, scale)
-        values, vectors = np.linalg.eigh((block + block.T) / 2)
-        good = values > _ABSORBED
-        half = vectors[:, good] / np.sqrt(values[good]) * scale[:, None]
-        return half @ half.T, int(good.sum())
+        half = inverse_root(self.gram[own, own], self.squares[own], _ABSORBED)
+        return half @ half.T, half.shape[1]
 
     def test(self, k: int) -> tuple[float, int]:
         """The chi-square of a difference, and its degrees of freedom."""

@@ -120,9 +120,8 @@ def features(
     rows = np.array([q.rows for q in asked])
     # A motion that no point senses, such as the turn of a disc, is none that could be taken out.
     rows = rows - (rows @ motion) @ np.linalg.pinv(conditions @ motion) @ conditions
-    result = found.combine(rows)
     quantities = tuple(replace(q, rows=row) for q, row in zip(asked, rows, strict=True))
-    return Features(tuple(known.values()), quantities, result.value, result.covariance, words, left_out)
+    return Features(tuple(known.values()), quantities, *found.combine(rows), words, left_out)
 
 
 def _named(known: Mapping[str, Element], name: str, asked: str) -> Element:

@@ -20,13 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, orthonormal_basis
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
 from machine_tool_calibration.methods.probing import datum
 from machine_tool_calibration.methods.probing.geometry import (
     Touches,
-    nominal_points,
     plane_tables,
     point_means,
     table_lever,
@@ -39,6 +38,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.checks.mistakes import UNITS, explanation, scaled
+from machine_tool_calibration.session.checks.nominal_geometry import nominal_points
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.judgements import Judgement
 from machine_tool_calibration.session.session import Session
@@ -202,14 +202,6 @@ _OPEN_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
-class Combined:
-    """Sums over the points of the workpiece, each with weights of its own."""
-
-    value: Array  # (q,) NaN where the touches do not determine it
-    covariance: Array  # (q, q) of them all; NaN where the touches do not determine one
-
-
-@dataclass(frozen=True)
 class Responses:
     """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open."""
 
@@ -225,14 +217,17 @@ class Responses:
         """(N,) whether the touches determine the point's error."""
         return np.asarray(self.touched & ~_moves(self.undetermined, self.scale))
 
-    def combine(self, rows: Array) -> Combined:
-        """Sums of the points' errors with weights (q, N), zero of points not touched, from their joint covariance."""
+    def combine(self, rows: Array) -> tuple[Array, Array]:
+        """(q,) sums of the points' errors with weights (q, N), zero of points not touched, and (q, q) their covariance.
+
+        NaN where the touches do not determine one.
+        """
         half = rows @ self.half
         covariance = (rows * self.own) @ rows.T + half @ half.T
         value = rows @ self.value
         open_ = _moves(rows @ self.undetermined, np.abs(rows) @ self.scale)
         value[open_], covariance[open_], covariance[:, open_] = np.nan, np.nan, np.nan
-        return Combined(value, covariance)
+        return value, covariance
 
 
 def _moves(undetermined: Array, scale: Array) -> BoolArray:
@@ -262,7 +257,7 @@ def workpiece_form(found: Responses, motion: Array) -> tuple[Array, Array]:
     By least squares, all points alike; NaN where the touches do not determine it.
     """
     used = points_of_form(found, motion)
-    basis = _orthonormal(motion[used])
+    basis = orthonormal_basis(motion[used])
     half = found.half[used] - basis @ (basis.T @ found.half[used])
     own = found.own[used]
     taken = np.sum(basis**2, axis=1)
@@ -277,7 +272,7 @@ def workpiece_form(found: Responses, motion: Array) -> tuple[Array, Array]:
 def points_of_form(found: Responses, motion: Array) -> BoolArray:
     """(N,) over which the motion (N, t) of the whole is taken out: all touched if it alone is open, else steady."""
     used = found.touched
-    basis = _orthonormal(motion[used])
+    basis = orthonormal_basis(motion[used])
     left = found.undetermined[used] - basis @ (basis.T @ found.undetermined[used])
     return found.steady if np.any(_moves(left, found.scale[used])) else used
 
@@ -287,13 +282,6 @@ def common_motions(description: Probing, length_known: bool) -> Array:
     position, normal = nominal_points(description)
     growth = [] if length_known else [np.einsum("nd,nd->n", position, normal)]
     return np.column_stack([normal, table_lever(position, normal), *growth])
-
-
-def _orthonormal(columns: Array) -> Array:
-    """(n, r) orthonormal basis of the columns (n, t)."""
-    size = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)]) if len(columns) else np.zeros((0, 0))
 
 
 # Change with an undetermined direction of unit length below which a value does not take part in it.

@@ -68,6 +68,12 @@ def merged_nodes(angle: Array) -> tuple[Array, IntArray]:
     return ordered[(first + last - 1) // 2] + 0.0, node  # no negative zero
 
 
+def stated_places(session: Session) -> tuple[Array, Array]:
+    """(S, 3) stations and (T, 3) targets, the latter in the table's frame at zero, as they are stated, m."""
+    description = session.description.as_a(RotaryAxis)
+    return np.array([s.position for s in description.setups]), np.array([t.position for t in description.targets])
+
+
 def table_readings(session: Session) -> TableReadings:
     """Sort the readings of a rotary axis's session."""
     description = session.description.as_a(RotaryAxis)

@@ -25,7 +25,7 @@ from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.methods.rotary_axis import datum
-from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
+from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, stated_places, table_readings
 from machine_tool_calibration.methods.rotary_axis.start import (
     SURVEYED,
     Start,
@@ -190,10 +190,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     A ModelError says that the readings contradict the geometry in a way that a common mistake explains.
     """
     table = table_readings(session)
-    description = session.description.as_a(RotaryAxis)
-    declared = (description.setups, description.targets)
-    stations, targets = (np.array([entry.position for entry in entries]) for entries in declared)
-    start = find_start(table, stations, targets, tilted=True)
+    start = find_start(table, *stated_places(session), tilted=True)
     if not session.description.trust_units:
         refuse_mistakes(session, start)
     first = _model(session, table, start)
@@ -219,10 +216,8 @@ def _check_places(model: RotaryAxisModel) -> None:
     residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * session.sigma
     if not missed <= _LOST * session.sigma:
-        declared = model.description.setups, model.description.targets
         if not session.description.trust_units:
-            stations, targets = (np.array([entry.position for entry in entries]) for entries in declared)
-            refuse_wrong_rows(session, Start(stations, targets, missed), found=False)
+            refuse_wrong_rows(session, Start(*stated_places(session), missed), found=False)
         by = f" by {figures(1e3 * missed)} mm in the middle" if np.isfinite(missed) else ""
         raise ModelError(
             f"{session.source}: no places of stations and targets near the stated ones explain the "
@@ -264,7 +259,7 @@ def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisMo
     g = away / path[:, None]
     observations = Observations(session, table.readings, arm, g, g, path, table.run)
     places = _places(description.targets, start.targets)
-    nominal = np.array([target.position for target in description.targets])
+    nominal = stated_places(session)[1]
     k = len(table.nodes)
     columns = np.zeros((6 * k + nominal.size, len(g)))
     _fill(columns, table, g, arm, np.zeros_like(g))

@@ -27,7 +27,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, orthonormal_basis
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.estimation.solve import solve
@@ -53,6 +53,7 @@ from machine_tool_calibration.model.rigid_body import (
     map_field,
     table_datum,
 )
+from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
 
@@ -151,7 +152,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     Diagonals and linear runs in any number, orders and repeats; what they do not determine is found by the solver.
     A ModelError says that there are no readings, or a machine without the axes that move.
     """
-    description = geometry.step_diagonal_of(session)
+    description = session.description.as_a(StepDiagonal)
     runs = geometry.runs_of(description)
     readings = session.readings.select(
         np.isfinite(session.readings.displacement) & np.isfinite(session.readings.position()).all(axis=1)
@@ -316,12 +317,12 @@ def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Term]) -> 
     setup = observations.readings.setup
     names = [run.name for run in model.runs]
     family = np.array([names.index(name) for name in names])[setup]
-    columns = [_one_hot(observations.run)]
+    columns = [_indicators(observations.run)]
     for axis, nodes in enumerate(model.blocks):
         node = np.abs(observations.position[:, axis, None] - nodes[None]).argmin(axis=1)
-        columns.append(_one_hot(family * len(nodes) + node))
+        columns.append(_indicators(family * len(nodes) + node))
     columns += [term.columns for term in model.terms if term.name.endswith(".tilt")]
-    basis = _range(np.concatenate(columns).T)
+    basis = orthonormal_basis(np.concatenate(columns).T)
     out = []
     for angle in angles:
         norm = np.linalg.norm(angle.columns, axis=1)
@@ -332,17 +333,9 @@ def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Term]) -> 
     return out
 
 
-def _one_hot(index: IntArray) -> Array:
-    values, place = np.unique(index, return_inverse=True)
-    out = np.zeros((len(values), len(index)))
-    out[place.reshape(-1), np.arange(len(index))] = 1.0
-    return out
-
-
-def _range(columns: Array) -> Array:
-    scale = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * s[0]])
+def _indicators(group: IntArray) -> Array:
+    """(groups, n) 1 where a reading is of a group."""
+    return np.equal.outer(np.unique(group), group).astype(np.float64)
 
 
 def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> StepDiagonalModel:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import DiagonalSetup, StepDiagonal
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Readings
 
 # A reading this close to a block position, as a share of the step, was taken there.
 _AT_BLOCK = 1e-2
@@ -26,13 +26,6 @@ class Run:
     motion: Array  # (3,) nominal motion of the whole run, m
     beam: Array  # (3,) nominal direction of the laser beam l, a unit vector: along the motion
     sign: Array  # (3,) -1, 0 or +1 for each axis
-
-
-def step_diagonal_of(session: Session) -> StepDiagonal:
-    """The session's description; a ModelError says that it is of another method."""
-    if not isinstance(session.description, StepDiagonal):
-        raise ModelError(f"{session.source}: a {session.method} session has no step diagonals")
-    return session.description
 
 
 def runs_of(description: StepDiagonal) -> tuple[Run, ...]:

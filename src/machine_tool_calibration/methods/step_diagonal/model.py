@@ -130,21 +130,16 @@ class StepDiagonalModel(MethodModel):
         each = (np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(self.blocks))
         return np.concatenate(list(each))
 
-    def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
-        """Error motions that make up the position errors, and the names of their unknowns."""
-        tables = [*self.tables, *self.angles]
-        names = [label for table in tables for label in table.labels]
-        if self.spread is not None:
-            tables += self.spread.tables
-            names += [label for labels in self.spread.names for label in labels]
-        return tuple(tables), names
-
     def _map_rows(self) -> tuple[Array, IntArray]:
         """(K, M) position errors at the block positions per unit of unknowns, and (K,) places of these in the model.
 
         Angular errors count by their lever arms along the edges that meet in the first block positions.
         """
-        tables, names = self._mapped()
+        tables = [*self.tables, *self.angles]
+        names = [label for table in tables for label in table.labels]
+        if self.spread is not None:
+            tables += self.spread.tables
+            names += [label for labels in self.spread.names for label in labels]
         field = map_field(tables, self.edges)
         place = {p.name: k for k, p in enumerate(self.parameters)}
         index = np.array([place[name] for name in names], dtype=np.int64)

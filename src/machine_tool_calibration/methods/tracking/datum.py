@@ -6,7 +6,7 @@ and its dead path (Ibaraki et al. 2014, Eqs. (2)-(4)). Directions are calculated
 little more than the readings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -38,10 +38,6 @@ class NetworkMotion:
         for k, (a, b) in enumerate(self._turns, start=self._d):
             out[a, k], out[b, k] = -arm[b], arm[a]
         return out
-
-    def of_targets(self, position: Array) -> Callable[[slice | IntArray], Array]:
-        """The same for some of the targets at (d, n), so that memory holds only these."""
-        return lambda points: self.at(position[:, points])
 
     def of_stations(self, stations: Array) -> Array:
         """(S (d + 1), t) change of the stations' unknowns: rotation centre (S, d) and dead path."""

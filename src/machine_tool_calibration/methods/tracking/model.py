@@ -266,9 +266,9 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
         where, at = nominal + local, stations + theta[own].reshape(-1, d + 1)[:, :d]
     theta_motion = np.zeros((len(theta), model.motion.count))
     theta_motion[own] = model.motion.of_stations(at)
-    result = points_in_inner_datum(
-        marginal.parts[fit.index], marginal.solution, fit.index, model.motion.of_targets(where), theta_motion
-    )
+    # Of some of the targets at a time, so that memory holds only these.
+    part, motion = marginal.parts[fit.index], lambda points: model.motion.at(where[:, points])
+    result = points_in_inner_datum(part, marginal.solution, fit.index, motion, theta_motion)
     good, error, unknown = result.determined, result.value.T, result.theta[own]
     if model.follows and good.any():
         places = np.vstack([where.T[~good], at])
