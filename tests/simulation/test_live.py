@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 from machine_tool_calibration.simulation import (
     Drift,
     FlawSpec,
@@ -16,7 +17,7 @@ from machine_tool_calibration.simulation import (
     simulate,
 )
 from machine_tool_calibration.simulation.flaw import Sight
-from machine_tool_calibration.simulation.scene import COLUMNS, Environment, random_environment
+from machine_tool_calibration.simulation.scene import Environment, random_environment
 from machine_tool_calibration.simulation.sensors import sensed_path
 from machine_tool_calibration.simulation.site import LiveMachine
 
@@ -53,7 +54,7 @@ def test_live_readings_are_those_of_the_session():
         def __call__(self, time):
             return self.values[column["time"] == time[0]]
 
-    environment = Environment({name: Recorded(np.nan, values=column[name]) for name in COLUMNS})
+    environment = Environment({name: Recorded(np.nan, values=column[name]) for name in ENVIRONMENT_COLUMNS})
     live = LiveMachine(plain.truth.machine, simulated.truth.effects, environment)
     path, first = [], {}
     for row in range(len(session.readings)):

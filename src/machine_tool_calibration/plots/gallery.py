@@ -18,7 +18,7 @@ from machine_tool_calibration.plots import residuals
 from machine_tool_calibration.plots.style import name_axes, new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
-from machine_tool_calibration.simulation.scene import COLUMNS
+from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _views(injected: Injected) -> list[_View]:
     observations = comparison.fit.model.observations
     own = {*effect.covariates, *effect.needs}
     # What the effect does not depend on, but happens to go with what it does, would only mislead.
-    left_out = {"repeat", "order", *(name for name in COLUMNS if name not in own)}
+    left_out = {"repeat", "order", *(name for name in ENVIRONMENT_COLUMNS if name not in own)}
     values = {name: v for name, v in comparison.covariates.items() if name not in left_out and np.isfinite(v).all()}
     everything = np.ones(len(observations), dtype=bool)
     ranked: list[tuple[float, _View]] = []

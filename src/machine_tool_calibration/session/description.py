@@ -196,10 +196,6 @@ class IndexSetup(Setup):
     c: Finite
 
 
-class DirectSetup(Setup):
-    """A setup of an instrument that reads deviations directly."""
-
-
 class CircleSetup(Setup):
     """A circle: its two axes, the centre where it is meant to be, m, the bar's nominal length, m."""
 
@@ -311,7 +307,7 @@ class Direct(Description):
     instrument: Instrument | None = None
     datum: Literal["none", "offset", "rigid"] = "none"  # what the instrument leaves open in every setup
     terms: tuple[str, ...] = ()  # the machine errors in the model
-    setups: Annotated[tuple[DirectSetup, ...], _SETUPS]
+    setups: Annotated[tuple[Setup, ...], _SETUPS]
 
     @property
     def sense(self) -> Vector3:

@@ -19,6 +19,12 @@ from machine_tool_calibration.errors import SessionError
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
 
+ENVIRONMENT_COLUMNS = (
+    *("temperature_air", "temperature_x", "temperature_y", "temperature_z", "temperature_table", "temperature_work"),
+    *("air_pressure", "relative_humidity"),
+)
+"""Columns of the environment: degrees Celsius, Pa, 0 … 1."""
+
 
 @dataclass(frozen=True)
 class Readings:

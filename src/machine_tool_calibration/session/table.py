@@ -12,6 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 from machine_tool_calibration.session.text import decoded, reading, reject_foreign_encoding
 
 _CHUNK = 4 << 20
@@ -175,8 +176,7 @@ LABEL_COLUMNS = ("setup", "target", "point")
 NUMERIC_COLUMNS = (
     *("time", "repeat", "x", "y", "z", "a", "b", "c"),
     *("dir_x", "dir_y", "dir_z", "dir_a", "dir_b", "dir_c", "azimuth", "elevation", "gx", "gy", "gz", "displacement"),
-    *("temperature_air", "temperature_x", "temperature_y", "temperature_z", "temperature_table", "temperature_work"),
-    *("air_pressure", "relative_humidity"),
+    *ENVIRONMENT_COLUMNS,
 )
 """Columns that must hold numbers; others may."""
 

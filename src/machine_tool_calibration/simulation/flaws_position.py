@@ -59,7 +59,7 @@ def _backlash(size: float, _: Parameters, scene: Scene, axis: str) -> Array:
 def _expansion(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
     """The scale or screw grows with its temperature, away from where it is fixed; a heavy bed behind its sensor."""
     column = f"temperature_{axis.lower()}"
-    sensed = scene.sensed_late(column, given["tau"]) if "tau" in given else scene.sensed(column)
+    sensed = scene.sensed(column, given.get("tau", 0.0))
     return np.asarray(size * (sensed - given["reference"]) * (scene.along(axis) - given["fixed_point"]))
 
 

@@ -2,7 +2,7 @@
 """True errors of a machine as a YAML document: tables, squareness, axis average line, or random ones from a seed."""
 
 from collections.abc import Container, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -193,20 +193,13 @@ def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] 
 
 def machine_document(machine: VirtualMachine) -> dict[str, Any]:
     """A machine's true errors as a document that `read_machine` accepts (one table per error motion)."""
-    motions: dict[str, Any] = {}
-    for axis in machine.motions.values():
-        for name, tables in merged(axis).items():
-            motions[name] = {
-                "nodes": list(tables.nodes),
-                "values": list(tables.values),
-                "interpolation": tables.interpolation,
-            }
+    motions = {name: table for axis in machine.motions.values() for name, table in merged(axis).items()}
     return {
         "chain": str(machine.chain),
         "travel": {axis.lower(): list(ends) for axis, ends in machine.travel.items()},
         "rotation_sign": machine.rotation_sign,
         "random": None,
-        "motions": motions,
+        "motions": {name: asdict(table) for name, table in motions.items()},
         "squareness": dict(machine.squareness),
         "average_line": dict(machine.average_line),
         "tool_offset": list(machine.tool_offset),

@@ -7,18 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, last_sign
-
-COLUMNS = (
-    "temperature_air",
-    "temperature_x",
-    "temperature_y",
-    "temperature_z",
-    "temperature_table",
-    "temperature_work",
-    "air_pressure",
-    "relative_humidity",
-)
-"""Columns of a session that describe the environment: degrees Celsius, Pa, 0 … 1."""
+from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 
 _MEAN = {"air_pressure": 101325.0, "relative_humidity": 0.5}
 _OFFSET = {"air_pressure": 400.0, "relative_humidity": 0.08}
@@ -73,7 +62,7 @@ class Environment:
 def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> Environment:
     """A workshop whose temperatures wander by about a kelvin within hours, times `swing`, each in its own way."""
     drifts = {}
-    for name in COLUMNS:
+    for name in ENVIRONMENT_COLUMNS:
         mean = _MEAN.get(name, 20.0) + _OFFSET.get(name, 0.45) * rng.normal()
         scale = _SWING.get(name, 0.45) * swing
         periods = rng.uniform(2000.0, 14000.0, 3)
@@ -117,13 +106,13 @@ class Scene:
         """(n,) commanded position of an axis, m or rad."""
         return self.position[:, "XYZ".index(axis)] if axis in "XYZ" else self.angle
 
-    def sensed(self, column: str) -> Array:
-        """(n,) an environment column; 20 °C, 101325 Pa or 50 % where it is not recorded."""
-        return self._drift(column)(self.time)
+    def sensed(self, column: str, lag: float = 0.0) -> Array:
+        """(n,) an environment column, or what follows it with a first-order lag, s.
 
-    def sensed_late(self, column: str, lag: float) -> Array:
-        """(n,) what follows an environment column with a first-order lag, s."""
-        return self._drift(column).lagged(self.time, lag)
+        20 °C, 101325 Pa or 50 % where it is not recorded.
+        """
+        drift = self._drift(column)
+        return drift.lagged(self.time, lag) if lag else drift(self.time)
 
     def rate(self, column: str) -> Array:
         """(n,) change of an environment column, per second; 0 where it is not known."""

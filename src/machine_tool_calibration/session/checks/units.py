@@ -9,7 +9,7 @@ from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Place, StandardUncertainty, StationSetup
-from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
+from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, ENVIRONMENT_COLUMNS, Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
@@ -22,7 +22,7 @@ _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
 _LEAST_VALUE = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
-_TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
+_TEMPERATURES = tuple(name for name in ENVIRONMENT_COLUMNS if name.startswith("temperature_"))
 # Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
 _HOT, _HOTTEST = 48.0, 120.0
 _DEGREES = "these look like degrees; angles are in radians"
