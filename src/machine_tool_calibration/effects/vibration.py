@@ -47,9 +47,10 @@ class Vibration(AxisEffect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of the time, along the axis, run by run."""
-        run, along = _runs(observations), self.along(observations)
+        run, along, clock = _runs(observations), self.along(observations), observations.clock
         # From the middle of each run, so that the frequency and the phases are told apart.
-        angle = 2.0 * np.pi * shape[0] * (observations.clock - _middle(observations.clock, run)[run])
+        middle = np.bincount(run, clock) / np.bincount(run)
+        angle = 2.0 * np.pi * shape[0] * (clock - middle[run])
         each = [np.where(run == k, wave(angle) * along, 0.0) for k in range(run.max() + 1) for wave in (np.sin, np.cos)]
         return np.array(each)
 
@@ -89,12 +90,6 @@ def _runs(observations: Observations) -> IntArray:
     for key in (readings.setup, readings.repeat):
         new |= np.diff(key, prepend=key[:1]) != 0
     return np.asarray(np.cumsum(new))
-
-
-def _middle(clock: Array, run: IntArray) -> Array:
-    """(k,) mean time of each run, s."""
-    count = np.bincount(run)
-    return np.asarray(np.bincount(run, clock) / np.maximum(count, 1))
 
 
 def _frequencies(observations: Observations) -> Array:

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Rejected
@@ -42,6 +44,17 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
         raise ModelError(f"{session.source}: no reading is left")
     built: MethodModel = load(spec_of(session).model).build(session, name)
     return built, name
+
+
+def linear_part(
+    model: MethodModel, group: IntArray, reading: Array, block: Array, places: IntArray, dense_index: IntArray
+) -> LinearPart:
+    """Readings (n,) without points, each of a group (n,) that has unknowns of its own.
+
+    Columns (b, n) are of these, whose places are (groups, b).
+    """
+    none = np.zeros((0, len(reading)))
+    return LinearPart(group_rows(group), reading, model.sigma, none, block, model.dense(), places, dense_index)
 
 
 def error_map(fit: Fit) -> ErrorMap:

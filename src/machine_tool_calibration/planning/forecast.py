@@ -172,11 +172,13 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
         columns[f"temperature_{name}"] = 20.0 + _OFF + share * warming * time / 3600.0
     columns["air_pressure"] = np.full(len(steps), 101_325.0)
     columns["relative_humidity"] = np.full(len(steps), 0.5)
-    path, more, labels = _nominal(procedure, steps, setup)
+    spec = method_spec(description.method)
+    if spec.planned is None:
+        raise SessionError(f"procedure {procedure.name}: nothing is foretold of a {description.method} session")
+    path, more, labels = load(spec.planned)(procedure, steps, setup)
     columns |= more
     noise = description.standard_uncertainty.displacement * np.random.default_rng(_SEED).normal(size=len(steps))
     reading = path + noise
-    spec = method_spec(description.method)
     if not spec.reads_deviations:
         runs = (repeat,) if spec.counts_from_run else ()
         targets = (labels["target"].astype(str),) if "target" in labels else ()
@@ -186,15 +188,7 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
 
 
 _Nominal = tuple[Array, dict[str, Array], dict[str, np.ndarray]]
-
-
-def _nominal(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
-    """Path that a perfect machine shows, further columns and labels."""
-    planned = method_spec(procedure.session.method).planned
-    if planned is None:
-        raise SessionError(f"procedure {procedure.name}: nothing is foretold of a {procedure.session.method} session")
-    nominal: _Nominal = load(planned)(procedure, steps, setup)
-    return nominal
+"""Path that a perfect machine shows, further columns and labels."""
 
 
 def directly(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:

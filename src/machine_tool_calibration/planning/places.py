@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, gaps_around
+from machine_tool_calibration.arrays import Array, gaps_around
 from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.methods.rotary_axis.spec import on_table
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, halts_of, run_of, runs_of
@@ -139,7 +139,8 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
     old = np.array([setup.position for setup in description.setups])
     used = np.unique(session.readings.setup)
     rows = first_repetition(session, [int(used[0])])
-    points = _points(session, description, rows)
+    taken = session.readings.select(rows)
+    points = taken.position() if isinstance(description, TrackingInterferometer) else on_table(session, taken)
     middle = points.mean(axis=0)
     arm = old[used] - middle
     angle, gaps = gaps_around(np.arctan2(arm[:, 1], arm[:, 0]))
@@ -164,13 +165,6 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
         words = say(f"measure.{where}", place=", ".join(f"{v:.2f}" for v in place))
         extended = _in_one_more(session, setup, Changed(rows, changed, distance - distance[0]))
         yield Option.of(session, "station", words, extended, "setting up the instrument")
-
-
-def _points(session: Session, description: TrackingInterferometer | RotaryAxis, rows: IntArray) -> Array:
-    readings = session.readings.select(rows)
-    if isinstance(description, TrackingInterferometer):
-        return readings.position()
-    return on_table(session, readings)
 
 
 def further_angles(session: Session, description: Probing) -> Iterator[Option]:

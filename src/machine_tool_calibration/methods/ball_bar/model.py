@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
+from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
@@ -58,16 +59,9 @@ class CircleModel(MethodModel):
         """Every setup is a block."""
         seen = self.observations
         _, plane = arms(seen.session.description.as_a(BallBar), seen.readings)
-        return LinearPart(
-            groups=group_rows(seen.readings.setup),
-            reading=seen.readings.displacement - self.second_order,
-            sigma=self.sigma,
-            local=np.zeros((0, len(seen))),
-            block=-np.concatenate([in_plane(seen.direction, plane).T, np.ones((1, len(seen)))]),
-            dense=self.dense(),
-            block_index=own_index.reshape(-1, 3),
-            dense_index=dense_index,
-        )
+        block = -np.concatenate([in_plane(seen.direction, plane).T, np.ones((1, len(seen)))])
+        reading = seen.readings.displacement - self.second_order
+        return linear_part(self, seen.readings.setup, reading, block, own_index.reshape(-1, 3), dense_index)
 
 
 def build(session: Session, model: str = "circle") -> CircleModel:

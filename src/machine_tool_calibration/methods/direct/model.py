@@ -19,9 +19,10 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
+from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
@@ -178,17 +179,9 @@ class DirectModel(MethodModel):
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every setup is a block."""
         readings = self.observations.readings
-        count = len(self.observations.session.setup_ids)
-        return LinearPart(
-            groups=group_rows(readings.setup),
-            reading=readings.displacement - self.setups.curvature,
-            sigma=self.sigma,
-            local=np.zeros((0, len(readings))),
-            block=self.setups.columns,
-            dense=self.dense(),
-            block_index=own_index.reshape(count, len(self.setups.columns)),
-            dense_index=dense_index,
-        )
+        reading = readings.displacement - self.setups.curvature
+        places = own_index.reshape(len(self.observations.session.setup_ids), -1)
+        return linear_part(self, readings.setup, reading, self.setups.columns, places, dense_index)
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:

@@ -36,15 +36,8 @@ _ALIKE = 0.7
 _TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
 _NO_DEPENDENCE = 1e-6
-# Factor from SI to the unit that people use, and that unit.
-_DISPLAY_UNITS = {
-    "m": (1e6, "µm"),
-    "rad": (1e6, "µrad"),
-    "1": (1e6, "µm/m"),
-    "1/K": (1e6, "µm/(m K)"),
-    "m/K": (1e6, "µm/K"),
-    "rad/K": (1e6, "µrad/K"),
-}
+# Units that people use, a millionth of those of SI.
+_MICRO = {"m": "µm", "rad": "µrad", "1": "µm/m", "1/K": "µm/(m K)", "m/K": "µm/K", "rad/K": "µrad/K"}
 # Positions at which a difference is looked at, and how near to each other ranges touch, m.
 _POSITIONS = 21
 _RANGES_TOUCH = 1e-6
@@ -139,7 +132,7 @@ def _log_tail(chi_square: float, rank: int) -> float:
 
 
 def _sentence(entry: Contradiction) -> str:
-    scale, unit = _DISPLAY_UNITS.get(entry.unit, (1.0, entry.unit))
+    scale, unit = 1e6 if entry.unit in _MICRO else 1.0, _MICRO.get(entry.unit, entry.unit)
     motion: str = entry.motion
     if entry.alike:
         motion = say("agreement.motion_or", motion=entry.motion, others=", ".join(entry.alike))
@@ -152,8 +145,8 @@ def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
     out = []
     for index, model in enumerate(models):
         for term in model.terms:
-            seen = _seen(term)
-            also = {j: seen & _seen_of(models[j], term.name) for j in range(len(models)) if j != index}
+            alike = {j: [t for t in m.terms if t.name == term.name] for j, m in enumerate(models) if j != index}
+            also = {j: _seen(term) & set[str]().union(*map(_seen, terms)) for j, terms in alike.items()}
             common = [k for k, p in enumerate(term.parameters) if any(p.name in names for names in also.values())]
             others = (j for j, names in also.items() if names)
             read = {j: both for j in others if (both := _read_by_both(model, models[j], term.name)) is not None}
@@ -169,10 +162,6 @@ def _seen(term: Term) -> set[str]:
     """The machine's unknowns of a term on which a session's readings depend."""
     size = np.abs(term.columns).max(axis=1, initial=0.0)
     return {p.name for p, s in zip(term.parameters, size, strict=True) if p.shared and s > _NO_DEPENDENCE * size.max()}
-
-
-def _seen_of(model: MethodModel, name: str) -> set[str]:
-    return set[str]().union(*(_seen(term) for term in model.terms if term.name == name))
 
 
 def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | None:

@@ -222,7 +222,8 @@ def conditions(
         Condition(tuple(Place({f"{name}({s})": 1.0}, 0.0, f"{name}({s}) = 0") for s in setup_ids))
         for name in ("EXC", "EYC", "ECC")
     ]
-    out += [_direction(table) for table in tables if table.is_straightness]
+    straight = [table for table in tables if table.is_straightness]
+    out += [Condition(_at_nodes(table, _from_outside(table.nodes)), is_far=True) for table in straight]
     return [*out, _length(by_name, known)]
 
 
@@ -239,34 +240,28 @@ def _zero(table: MachineTable) -> Condition:
     if _within(table.nodes, 0.0):
         weights = interpolation(table.nodes, np.zeros(1))[:, 0]
         places.append(Place(_named(table, weights), 0.0, f"{table.name}(0) = 0"))
-    nearest = np.argsort(np.abs(table.nodes), kind="stable")
-    places += [Place({table.labels[k]: 1.0}, 0.0, f"{table.labels[k]} = 0") for k in nearest]
-    return Condition(tuple(places))
+    nearest = np.argsort(np.abs(table.nodes), kind="stable").tolist()
+    return Condition((*places, *_at_nodes(table, nearest)))
 
 
-def _direction(table: MachineTable) -> Condition:
-    places = tuple(Place({table.labels[k]: 1.0}, 0.0, f"{table.labels[k]} = 0") for k in _from_outside(table.nodes))
-    return Condition(places, is_far=True)
+def _at_nodes(table: MachineTable, nodes: Sequence[int]) -> tuple[Place, ...]:
+    """Zero at each of some nodes."""
+    return tuple(Place({table.labels[k]: 1.0}, 0.0, f"{table.labels[k]} = 0") for k in nodes)
 
 
 def _length(by_name: Mapping[str, MachineTable], known: Mapping[str, KnownLength]) -> Condition:
     """The measured length; where no touch reaches it, the straight line from the axis's zero to it."""
-    places = [
-        Place(
-            known_weights(by_name[n], e.position),
-            e.value,
-            say("datum.as_measured", name=f"{n}({e.position:.6g})"),
-            is_measured=True,
-        )
-        for n, e in known.items()
-    ]
+    places = []
+    for name, entry in known.items():
+        told = say("datum.as_measured", name=f"{name}({entry.position:.6g})")
+        places.append(Place(known_weights(by_name[name], entry.position), entry.value, told, is_measured=True))
     name = next(iter(known), "EXX")
-    table, entry = by_name[name], known.get(name)
-    slope = entry.value / entry.position if entry is not None and entry.position else 0.0
+    table, stated = by_name[name], known.get(name)
+    slope = stated.value / stated.position if stated is not None and stated.position else 0.0
     for k in _from_outside(table.nodes):
         words = f"{table.labels[k]} = 0"
-        if entry is not None:
-            words = say("datum.on_line", name=table.labels[k], measured=f"{name}({entry.position:.6g})")
+        if stated is not None:
+            words = say("datum.on_line", name=table.labels[k], measured=f"{name}({stated.position:.6g})")
         places.append(Place(known_weights(table, float(table.nodes[k])), slope * float(table.nodes[k]), words))
     return Condition(tuple(places), is_far=True)
 

@@ -133,17 +133,12 @@ def _build(session: Session) -> ProbingModel:
 def _axis_c_terms(session: Session, where: Touches, setup: IntArray) -> list[Term]:
     index = (setup == np.arange(len(session.setup_ids))[:, None]).astype(float)
     senses = {"EXC": where.normal[:, 0], "EYC": where.normal[:, 1], "ECC": where.lever}
-    return [
-        Term(
-            name,
-            tuple(
-                motion_value(name, setup_id, "rad" if name == "ECC" else "m", shared=False)
-                for setup_id in session.setup_ids
-            ),
-            index * sense,
-        )
-        for name, sense in senses.items()
-    ]
+    out = []
+    for name, sense in senses.items():
+        unit = "rad" if name == "ECC" else "m"
+        values = (motion_value(name, setup_id, unit, shared=False) for setup_id in session.setup_ids)
+        out.append(Term(name, tuple(values), index * sense))
+    return out
 
 
 def _with_datum(model: ProbingModel) -> ProbingModel:

@@ -8,8 +8,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.marginal import noise_variance
-from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
+from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17, is_open
@@ -74,17 +75,9 @@ class StepDiagonalModel(MethodModel):
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """All columns are known beforehand."""
-        n = len(self.observations)
-        return LinearPart(
-            group_rows(self.observations.run),
-            self.observations.readings.displacement - self.nominal,
-            self.sigma,
-            np.zeros((0, n)),
-            np.ones((1, n)),
-            self.dense(),
-            own_index.reshape(-1, 1),
-            dense_index,
-        )
+        seen = self.observations
+        reading = seen.readings.displacement - self.nominal
+        return linear_part(self, seen.run, reading, np.ones((1, len(seen))), own_index.reshape(-1, 1), dense_index)
 
     def reestimated(self) -> Self:
         """The size of the angular errors estimated again, with the terms that were added."""

@@ -32,6 +32,7 @@ from machine_tool_calibration.procedure.workpiece.outline import (
     Material,
     Straight,
     Touched,
+    polygon,
     probe_points,
     reachable,
 )
@@ -104,10 +105,7 @@ class Outline(_Drawn):
 
     def contour(self, unit: float) -> Contour:
         """The polygon, m; corners given twice are taken once."""
-        corners = [_scaled(vertex, unit) for vertex in self.vertices]
-        ends = [*corners[1:], corners[0]] if self.closed else corners[1:]
-        pieces = [Straight(a, b) for a, b in zip(corners, ends, strict=False) if a != b]
-        return Contour(tuple(pieces), self.closed)
+        return polygon([_scaled(vertex, unit) for vertex in self.vertices], closed=self.closed)
 
 
 class File(_Drawn):

@@ -13,6 +13,8 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import SessionError
 
 _MOST_POINTS = 100_000
+SHORTEST = 1e-9
+"""Length of a piece of an outline below which it is none, m."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,13 @@ class Contour:
             if isinstance(segment, Arc):
                 total += 0.5 * segment.radius**2 * (segment.sweep - float(np.sin(segment.sweep)))
         return total
+
+
+def polygon(corners: Sequence[tuple[float, float]], *, closed: bool) -> Contour:
+    """Straight lines from corner to corner, m; corners given twice are taken once."""
+    ends = [*corners[1:], *corners[:1]] if closed else corners[1:]
+    lines = (Straight(a, b) for a, b in zip(corners, ends, strict=False))
+    return Contour(tuple(line for line in lines if line.length > SHORTEST), closed)
 
 
 @dataclass(frozen=True)

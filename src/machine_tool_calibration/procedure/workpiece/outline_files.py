@@ -16,7 +16,15 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Segment, Straight, join
+from machine_tool_calibration.procedure.workpiece.outline import (
+    SHORTEST,
+    Arc,
+    Contour,
+    Segment,
+    Straight,
+    join,
+    polygon,
+)
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 
 _FARTHEST = 1e6  # in the unit of the file
@@ -47,18 +55,13 @@ def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
     bad = np.flatnonzero(~(np.abs(corners) <= _FARTHEST).all(axis=1))
     if len(bad):
         raise SessionError(f"{file} row {bad[0] + 1}: x and y must be numbers, of {_FARTHEST:g} at most")
-    points = [(float(x) * unit, float(y) * unit) for x, y in corners]
-    ends = [*points[1:], points[0]] if closed and points else points[1:]
-    pieces = [
-        Straight(a, b) for a, b in zip(points, ends, strict=False) if np.hypot(b[0] - a[0], b[1] - a[1]) > _SHORTEST
-    ]
-    if len(pieces) < (2 if closed else 1):
+    outline = polygon([(float(x) * unit, float(y) * unit) for x, y in corners], closed=closed)
+    if len(outline.segments) < (2 if closed else 1):
         raise SessionError(f"{file}: an outline needs at least {3 if closed else 2} different corners")
-    return [Contour(tuple(pieces), closed)]
+    return [outline]
 
 
 _FLAT = 1e-7  # m
-_SHORTEST = 1e-9  # m
 # DXF $INSUNITS: metres per unit.
 _UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}
 _LARGEST_DXF = 256 << 20  # bytes
@@ -88,7 +91,7 @@ def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[
     pieces: list[Segment] = []
     for entity in entities:
         pieces += _pieces(entity, scale)
-    pieces = [piece for piece in pieces if piece.length > _SHORTEST]
+    pieces = [piece for piece in pieces if piece.length > SHORTEST]
     if not pieces:
         where = "" if layer is None else f" on the layer {layer!r}"
         raise SessionError(f"{file}: no line, arc, circle, polyline, ellipse or spline{where}")
