@@ -10,7 +10,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from machine_tool_calibration.budget import complete
-from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.diagnosis import improve
+from machine_tool_calibration.interface import identification
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions
+from machine_tool_calibration.report import evaluation
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["found_once", "rough_pictures"]
@@ -47,13 +50,13 @@ _FOUND: dict[tuple[object, ...], Any] = {}
 def _once(search: Callable[..., Any]) -> Callable[..., Any]:
     """A search that is made once for the same subject and options, whoever asks."""
 
-    def found(subject: Any, *more: Any, progress: Callable[[str, float], None], **options: Any) -> Any:
+    def found(subject: Any, *more: Any, **options: Any) -> Any:
         if isinstance(subject, FitRequest) and subject.own:
-            return search(subject, *more, progress=progress, **options)
+            return search(subject, *more, **options)
         told = sorted((name, value) for name, value in options.items() if not callable(value))
         key = (search, _same(subject), repr(more), repr(told))
         if key not in _FOUND:
-            _FOUND[key] = (search(subject, *more, progress=progress, **options), subject)
+            _FOUND[key] = (search(subject, *more, **options), subject)
         return _FOUND[key][0]
 
     return found
@@ -63,6 +66,12 @@ def _same(subject: Any) -> object:
     """What is equal where sessions hold the same, whatever folder they lie in."""
     if isinstance(subject, FitRequest):
         return _same(subject.sessions), repr(replace(subject, sessions=()))
+    if isinstance(subject, FittedSessions):
+        joint = subject.joint
+        sessions = tuple(fit.model.observations.session for fit in joint.fits)
+        # the numbers, for effects of one name are not always the same
+        fitted = (joint.solution.theta.tobytes(), joint.solution.covariance.tobytes())
+        return _same(sessions), repr(joint.assembly.labels), subject.model_names, subject.effects, fitted
     if not isinstance(subject, Session):
         return tuple(map(_same, subject)) if isinstance(subject, tuple | list) else id(subject)
     readings = subject.readings
@@ -72,8 +81,14 @@ def _same(subject: Any) -> object:
 
 @pytest.fixture(scope="module")
 def found_once() -> Iterator[None]:
-    """Diagnoses and improvements of sessions that several tests of the commands look at are calculated once."""
+    """Diagnoses, improvements and budgets of what several tests look at are calculated once, whoever asks for them."""
     with pytest.MonkeyPatch.context() as patch:
-        for search in ("look_for_effects", "improve_models", "conclude_from"):
-            patch.setattr(complete, search, _once(getattr(complete, search)))
+        for room, searches in (
+            (complete, ("look_for_effects", "improve_models", "conclude_from", "propagate")),
+            (improve, ("diagnose",)),
+            (identification, ("diagnose", "propagate")),
+            (evaluation, ("improve", "propagate")),
+        ):
+            for search in searches:
+                patch.setattr(room, search, _once(getattr(room, search)))
         yield

@@ -165,6 +165,7 @@ def few_draws() -> Iterator[None]:
     """Budgets from a tenth of the random values, for tests of how they are told and not of how well they are known."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("machine_tool_calibration.budget.propagate.DRAWS", 20)
+        patch.setattr("machine_tool_calibration.budget.conformity._SAMPLES", 30)
         # where they are used: what the tests of a room need not import they do not
         from machine_tool_calibration.methods.map_comparison import compare_fits
         from machine_tool_calibration.trends.statement import of_fit

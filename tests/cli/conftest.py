@@ -14,8 +14,8 @@ __all__ = ["found_once", "rough_pictures"]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def coarse(rough_pictures: None) -> None:
-    """What the pictures look like is seen in tests/plots."""
+def coarse(rough_pictures: None, found_once: None) -> None:
+    """What the pictures look like is seen in tests/plots, and how something is found in the rooms that find it."""
 
 
 @pytest.fixture(scope="session")

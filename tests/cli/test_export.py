@@ -40,7 +40,6 @@ def test_people_see_before_and_after(tmp_path: Path, verb: Verb) -> None:
     assert len(set(reasons)) == len(reasons)
 
 
-@pytest.mark.usefixtures("found_once")
 def test_effects_of_the_history(backlash: Path, tmp_path: Path, verb: Verb) -> None:
     session, folder = shutil.copytree(backlash, tmp_path / "session"), tmp_path / "tables"
     call = ["export", str(session), "--format", "json", "-o", str(folder), "--from-history"]
@@ -166,7 +165,7 @@ def session(backlash: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def improved(found_once: None, session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def improved(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = Path(shutil.copytree(session, tmp_path_factory.mktemp("improved") / "plane"))
     assert run(["improve", str(folder), "-o", str(folder.parent / "out")]) == 0
     return folder

@@ -122,7 +122,6 @@ def test_output_that_cannot_be_written(verb, tmp_path):
     assert "cannot be written" in verb.refused("identify", DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
 
 
-@pytest.mark.usefixtures("found_once")
 def test_the_model_of_the_history(verb, backlash, tmp_path):
     session = tmp_path / "session"
     shutil.copytree(backlash, session)
@@ -137,9 +136,6 @@ def test_the_model_of_the_history(verb, backlash, tmp_path):
     verb("history", session, "--undo")
     assert verb("identify", session, "--from-history", "--json").document["effects"] == []
     verb("identify", session, "--from-history", "--effect", "scale", status=2)
-
-
-pytestmark = pytest.mark.usefixtures("found_once")
 
 
 def test_people_read_the_verdict_first(original: Path, verb: Verb) -> None:

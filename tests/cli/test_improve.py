@@ -22,8 +22,6 @@ from machine_tool_calibration.reports.history_file import read_history
 
 from ..told import Verb
 
-pytestmark = pytest.mark.usefixtures("found_once")
-
 
 @pytest.fixture
 def cube(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:

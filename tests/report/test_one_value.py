@@ -49,7 +49,7 @@ class Received(calculation.Request):
         return FitRequest((self.session,))
 
 
-pytestmark = pytest.mark.usefixtures("few_draws")
+pytestmark = pytest.mark.usefixtures("few_draws", "found_once")
 
 
 @pytest.fixture(scope="module", autouse=True)
