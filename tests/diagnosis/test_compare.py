@@ -2,6 +2,7 @@
 """The comparison of a model with its readings: figures against hand counts, statistics, and known faults."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,12 +22,20 @@ from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
+from ..cube import CUBE
+
 PLANS = ["tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2"]
 
 
 def simulated(plan: str, seed: int = 3, *flaws: FlawSpec, **changes: object) -> Session:
-    spec = SimulationSpec(plan=PRESETS[plan], seed=seed, effects=flaws, **changes)  # type: ignore[arg-type]
-    return simulate(spec).session
+    chosen = CUBE if plan == "tracking_3d" else PRESETS[plan]
+    return simulate(SimulationSpec(plan=chosen, seed=seed, effects=flaws, **changes)).session  # type: ignore[arg-type]
+
+
+@cache
+def compared(plan: str) -> Comparison:
+    """A comparison that several tests look at."""
+    return compare(simulated(plan))
 
 
 def moved(session: Session, change: np.ndarray) -> Session:
@@ -36,7 +45,7 @@ def moved(session: Session, change: np.ndarray) -> Session:
 
 @pytest.mark.parametrize("plan", PLANS)
 def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
-    found = compare(simulated(plan))
+    found = compared(plan)
     fit, readings = found.fit, found.fit.model.observations.readings
     assert found.overall.rms_residual == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
     for parts in (found.setups, found.runs):
@@ -66,12 +75,12 @@ def test_every_reading_has_a_scatter_of_one_if_the_model_is_right(plan: str) -> 
 
 def test_what_the_model_takes_up_is_no_number() -> None:
     """Every station has a free dead path: the mean of its residuals is zero whatever was read."""
-    found = compare(simulated("tracking_2d"))
+    found = compared("tracking_2d")
     assert found.setups[["mean", "mean_u"]].isna().all(axis=None)
 
 
 def test_a_good_model_is_said_to_fit() -> None:
-    words = in_words(compare(simulated("tracking_2d")))
+    words = in_words(compared("tracking_2d"))
     assert words.startswith("The model fits the readings within their declared uncertainty (p = ")
 
 
@@ -192,7 +201,7 @@ def test_bins_keep_distinct_values_apart_and_equal_ones_together() -> None:
 def test_the_document_and_the_columns_hold_every_reading(plan: str) -> None:
     from machine_tool_calibration.reports.documents import to_json
 
-    found = compare(simulated(plan))
+    found = compared(plan)
     document = comparison_document(found)
     assert "NaN" not in to_json(document)
     assert document["format"] == "mtcal-comparison/1"

@@ -26,14 +26,15 @@ from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 
+from ..cube import CUBE
 from ..diagnosed import diagnosed
 
 SIGMA = 3e-7
 
 
 def look(plan: str, seed: int, *flaws: FlawSpec, **changes: object) -> Diagnosis:
-    spec = SimulationSpec(plan=PRESETS[plan], seed=seed, effects=flaws, **changes)  # type: ignore[arg-type]
-    return diagnosed(spec)
+    chosen = CUBE if plan == "tracking_3d" else PRESETS[plan]
+    return diagnosed(SimulationSpec(plan=chosen, seed=seed, effects=flaws, **changes))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d", "rotary_axis", "probing_cross"])
