@@ -45,14 +45,14 @@ def test_scale_then_different_scales_and_squareness(many: Any) -> None:
 
 def test_one_scale_only(many: Any) -> None:
     some = many.part(0.3)
-    found = [diagnose(plates.plate(seed, scales=(4e-5, 4e-5))[0]).accepted for seed in range(some.count)]
+    found = [diagnose(plates.plate(seed, holes=150, scales=(4e-5, 4e-5))[0]).accepted for seed in range(some.count)]
     assert sum(accepted != ("scale",) for accepted in found) <= some.at_most(0.05)
 
 
 @pytest.mark.parametrize("given", [{}, {"declared": 1e-7}, {"declared": 3e-5}, {"repeats": 4, "holes": 120}])
 def test_plates_in_which_nothing_is_missing(given: dict[str, float], many: Any) -> None:
     some = many.part(0.2)
-    verdicts = [diagnose(plates.plate(seed, **given)[0]).verdict for seed in range(some.count)]
+    verdicts = [diagnose(plates.plate(seed, **{"holes": 150, **given})[0]).verdict for seed in range(some.count)]
     assert sum(verdict not in ("adequate", "outliers") for verdict in verdicts) <= some.at_most(0.05)
 
 
@@ -77,7 +77,7 @@ def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(
 
 def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None:
     """Holes that were read once each and scatter by far more than was declared."""
-    found = diagnose(plates.plate(2, declared=2e-7, tails=None)[0])
+    found = diagnose(plates.plate(2, holes=150, declared=2e-7, tails=None)[0])
     assert (found.verdict, found.noise.from_repeats) == ("adequate", None)
     told = [key for words in verdict_words(found, {}, Advice()) for key in keys(words)]
     assert told[0] == "diagnosis.no_pattern" and "diagnosis.good_enough" not in told
@@ -86,14 +86,14 @@ def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None
     small = replace(found, search=replace(found.search, unknown=0.97, nothing=0.01))
     told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
     assert told[:3] == ["diagnosis.no_effect", "diagnosis.residual", "diagnosis.small_in_map"]
-    repeated = diagnose(plates.plate(2, repeats=3, declared=2e-7, tails=None)[0])
+    repeated = diagnose(plates.plate(2, holes=150, repeats=3, declared=2e-7, tails=None)[0])
     assert keys(next_step(repeated, Advice())) == ["next.places"]
     repeats_too = replace(repeated, noise=replace(repeated.noise, as_read=2e-3))
     assert keys(next_step(repeats_too, Advice())) == ["next.scatter"]
 
 
 def test_far_holes_are_named() -> None:
-    session, far = plates.plate(3, far=4, scales=(4e-5, 4e-5), tails=None)
+    session, far = plates.plate(3, holes=150, far=4, scales=(4e-5, 4e-5), tails=None)
     found = diagnose(session)
     assert [o.row for o in sorted(found.gross_errors, key=lambda o: o.row)] == far
     assert found.accepted == ("scale",)
