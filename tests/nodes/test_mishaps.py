@@ -14,8 +14,8 @@ from .reference import reference
 from .test_measurement import readings, since_first
 
 LONG = copy.deepcopy(PROCEDURE)
-LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 5
-TOTAL = 5 * 5 * 4 * 2
+LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 4
+TOTAL = 4 * 4 * 4 * 2
 SOON = {"resend": 0.2}  # s, so that a command that was lost is soon sent again
 
 
@@ -41,7 +41,7 @@ def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(b
     assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
     assert operator.wait(lambda: operator.procedure.message == "waiting for instrument", PATIENCE)
     graph.start("instrument")
-    for count, name in ((30, "instrument"), (80, "rotary_pointer"), (130, "axis_simulator")):
+    for count, name in ((20, "instrument"), (50, "rotary_pointer"), (80, "axis_simulator")):
         reaches(operator, count)
         assert graph.kill(name) == -signal.SIGKILL
         assert operator.wait(lambda: bool(operator.procedure.entries["waiting_for"]), PATIENCE), operator.procedure
@@ -56,7 +56,7 @@ def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
     graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": 2.0}})
     operator = bench.operator(graph)
     begin(operator)
-    resumed(operator, lambda: len(operator.readings) >= 30)
+    resumed(operator, lambda: len(operator.readings) >= 20)
     graph.kill("rotary_pointer")
     resumed(operator, lambda: operator.procedure.message.startswith("no answer from rotary pointer"))
     assert re.fullmatch(r"no answer from rotary pointer for \d+ s", operator.procedure.message)
@@ -76,7 +76,7 @@ def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
     operator = bench.operator(bench.graph(procedure=LONG))
     block(operator, False)  # so that the node knows its client when there is no time to lose
     begin(operator)
-    reaches(operator, 50)
+    reaches(operator, 30)
     operator.call("procedure/pause", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "paused", PATIENCE)
     captured = operator.procedure.number("captured")
@@ -84,7 +84,7 @@ def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
     operator.wait(lambda: False, 0.3)
     assert operator.procedure.number("captured") == captured == len(operator.readings)
     operator.call("procedure/resume", PATIENCE)
-    reaches(operator, captured + 30)
+    reaches(operator, captured + 20)
     operator.call("procedure/abort", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "aborted", PATIENCE)
     # the last reading may be heard after the state
@@ -92,7 +92,7 @@ def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
     run = operator.heard.count[0]
     operator.call("procedure/start", PATIENCE)
     assert operator.wait(lambda: operator.heard.count[0] > run, WHOLE)  # those of the last run are forgotten
-    reaches(operator, 60)
+    reaches(operator, 40)
     block(operator, True)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
     assert operator.procedure.message == "instrument: the beam is blocked"
