@@ -209,7 +209,7 @@ def test_the_procedure_as_it_stands_is_kept_unless_another_is_much_quicker(repea
 def test_a_plan_has_readings_that_check_each_other() -> None:
     content = yaml.safe_load(procedure_file("tracking_3d").read_text())
     for axis in "xyz":
-        content["path"]["grid"][axis]["count"] = 4
+        content["path"]["grid"][axis]["count"] = 3
     offered = offer(yaml.safe_dump(content), "tracking_3d")
     candidates = _candidates(offered)
     three, four = (candidates.judged(offered.weights(Choice(tuple(range(n)), (0,), 3)))[1] for n in (3, 4))
