@@ -75,8 +75,12 @@ def _same(subject: Any) -> object:
     if not isinstance(subject, Session):
         return tuple(map(_same, subject)) if isinstance(subject, tuple | list) else id(subject)
     readings = subject.readings
-    columns = tuple((name, values.tobytes()) for name, values in sorted(readings.columns.items()))
-    return subject.description.model_dump_json(), readings.displacement.tobytes(), readings.setup.tobytes(), columns
+    every = {**readings.columns, **readings.labels}
+    columns = tuple((name, repr(values.tolist())) for name, values in sorted(every.items()))
+    own = (readings.displacement, readings.setup, readings.repeat, readings.row)
+    first = None if subject.recorded is None else _same(subject.recorded)
+    numbers = tuple(values.tobytes() for values in own)
+    return subject.description.model_dump_json(), numbers, columns, subject.sound, first
 
 
 @pytest.fixture(scope="module")
