@@ -11,10 +11,11 @@ import yaml
 from machine_tool_calibration.budget.contributor import read_budget
 from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.importing.text_table import parse_form
+from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.reports.history_file import read_history
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.session.record import validated
 from machine_tool_calibration.simulation.machine_file import read_machine
 from machine_tool_calibration.simulation.site import read_site
 from machine_tool_calibration.simulation.spec import read_spec, spec_from
@@ -219,7 +220,7 @@ def test_what_comes_from_no_file_has_no_place() -> None:
     with pytest.raises(CalibrationError, match=r"^noise must be greater than 0, not -1\.0$"):
         spec_from(None, method="direct", fields={"noise": -1.0})
     with pytest.raises(CalibrationError, match=r"^skip must be at least 0, not -1$"):
-        parse_form({"skip": -1})
+        validated(FileForm, {"skip": -1}, "")
 
 
 @pytest.mark.parametrize(

@@ -167,14 +167,11 @@ def command(
         document = {**_written(imported.session, target, form, start, namespace), **preview}
     elif dry_run or target is None:
         raise click.UsageError("--dry-run is for tables of other programs: it needs --table or --mapping")
-    elif own is not None:
-        document = _written(_trusted(own, foreign), target, form, start, namespace)
-    elif form in ("csv", "parquet"):
+    elif own is None and form in ("csv", "parquet"):
         document = _tables(source, target, form, from_session, topics)
     else:
-        document = _written(
-            _trusted(open_measurement(source, topics, check=False), foreign), target, form, start, namespace
-        )
+        session = open_measurement(source, topics, check=False) if own is None else own
+        document = _written(_trusted(session, foreign), target, form, start, namespace)
     if as_json:
         shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -243,12 +240,13 @@ def _own_table(
             f"{DESCRIPTION_FILE}"
         )
     from machine_tool_calibration.importing.own import read_own_table
-    from machine_tool_calibration.importing.text_table import parse_form
+    from machine_tool_calibration.importing.text_table import FileForm
     from machine_tool_calibration.session.parse import parse_description
+    from machine_tool_calibration.session.record import validated
     from machine_tool_calibration.session.text import read_text
 
     record = parse_description(read_text(described), str(described))
-    return read_own_table(table, record, str(described), parse_form(form))
+    return read_own_table(table, record, str(described), validated(FileForm, form, ""))
 
 
 def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
@@ -258,7 +256,7 @@ def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
     return replace(session, description=session.description.model_copy(update={"trust_units": True}))
 
 
-def _written(session: Session, target: Path, form: str, start: int, namespace: str) -> dict[str, Any]:
+def _written(session: Session, target: Path, form: str, start: int = 0, namespace: str = "") -> dict[str, Any]:
     from machine_tool_calibration.recording.session_bag import session_to_bag
     from machine_tool_calibration.session.folder import write_session
 
@@ -296,9 +294,7 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, topics: d
     if target.exists() and not target.is_dir():
         raise CalibrationError(f"{target}: is there already; choose another name")
     if from_session or target.suffix.lower() == f".{form}":
-        session = open_measurement(source, topics, check=False)
-        _save_readings(session, target, form)
-        return {"readings": len(session.readings)}
+        return _written(open_measurement(source, topics, check=False), target, form)
     with shared.progress_bar() as progress:
         files, skipped = save_tables(BagReader(source), target, form, progress)
     return {"topics": files, "skipped": skipped}

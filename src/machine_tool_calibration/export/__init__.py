@@ -5,8 +5,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export import fanuc, linuxcnc, rotary, si_tables, siemens, twincat
+from machine_tool_calibration.export import fanuc, linuxcnc, rotary, siemens, twincat
+from machine_tool_calibration.export.head import SIGN, head
 from machine_tool_calibration.export.rotary import RotaryTables
+from machine_tool_calibration.export.si_tables import csv_head, csv_table, json_table
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["FORMATS", "read_tables", "remarks", "write_tables"]
@@ -22,8 +24,8 @@ _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "isg": (twincat.write_isg, twincat.read_isg),
     "etalon": (twincat.write_etalon, twincat.read_etalon),
     # No controller reads these: whoever enters the values takes them as they are.
-    "csv": (si_tables.write_csv_table, lambda files, tables: tables),
-    "json": (si_tables.write_json_table, lambda files, tables: tables),
+    "csv": (lambda own, source: csv_table(own, csv_head(own, source)), lambda files, own: own),
+    "json": (lambda own, source: json_table(own, head(own, source, SIGN, "SI: m and rad")), lambda files, own: own),
 }
 FORMATS = tuple(_FORMATS)
 

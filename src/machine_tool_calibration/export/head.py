@@ -2,6 +2,7 @@
 """The head of every file: sign, units, reference point, squareness, and what is not in it."""
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,15 +54,12 @@ def rebuilt(
 ) -> AxisTables:
     """What was read from a file, with the chain and the words of what was written."""
     nan = float("nan")
-    return AxisTables(
-        like.chain,
-        tuple(tables),
-        {name: (value, nan) for name, value in (squareness or {}).items()},
-        {axis: (value, nan) for axis, value in (backlash or {}).items()},
-        (),
-        like.datum,
-        like.squareness_words,
-        like.model,
+    return replace(
+        like,
+        tables=tuple(tables),
+        squareness={name: (value, nan) for name, value in (squareness or {}).items()},
+        backlash={axis: (value, nan) for axis, value in (backlash or {}).items()},
+        left_out=(),
     )
 
 

@@ -12,15 +12,14 @@ from machine_tool_calibration.methods.axis_tables import AxisTables, unit_of
 _COLUMNS = ("name", "axis", "position", "deviation", "standard_uncertainty", "compensation", "unit")
 
 
-def write_csv_table(tables: AxisTables, source: str) -> dict[str, str]:
-    """One file; numbers that come back to the last bit."""
+def csv_head(tables: AxisTables, source: str) -> list[str]:
+    """The lines at the head of a CSV table of linear axes."""
     lines = head(tables, source, SIGN, "SI: positions in m; values in m or rad as the column unit says")
-    lines.append("backlash_x …: half the reversal error b; the axis is off by -b times the sign of its last move")
-    return csv_table(tables, lines)
+    return [*lines, "backlash_x …: half the reversal error b; the axis is off by -b times the sign of its last move"]
 
 
 def csv_table(tables: AxisTables, lines: Sequence[str]) -> dict[str, str]:
-    """The same with these lines at its head."""
+    """One file with these lines at its head; numbers that come back to the last bit."""
     out = io.StringIO()
     out.writelines(f"# {line}\n" for line in lines)
     rows = csv.writer(out, lineterminator="\n")
@@ -38,13 +37,8 @@ def csv_table(tables: AxisTables, lines: Sequence[str]) -> dict[str, str]:
     return {"compensation.csv": out.getvalue()}
 
 
-def write_json_table(tables: AxisTables, source: str) -> dict[str, str]:
-    """One file; numbers that come back to the last bit."""
-    return json_table(tables, head(tables, source, SIGN, "SI: m and rad"))
-
-
 def json_table(tables: AxisTables, lines: Sequence[str]) -> dict[str, str]:
-    """The same with these remarks."""
+    """One file with these remarks; numbers that come back to the last bit."""
     document = {
         "format": "mtcal-compensation/1",
         "remarks": list(lines),

@@ -62,7 +62,6 @@ def _text(file: Path, described: str, form: FileForm) -> _Columns:
 
 
 def _parquet(file: Path, described: str) -> _Columns:
-
     try:
         frame = pd.read_parquet(file)
     except ImportError:

@@ -7,6 +7,7 @@ station's frame, their distances from its origin are the ranges.
 """
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray, best_motion, first_true, groups, occurrence
 from machine_tool_calibration.errors import SessionError
@@ -124,8 +125,7 @@ def point_rows(columns: Columns, name: str) -> Rows:
     n, k = len(table), len(sensed)
     columns.check_origin([_AXES[j] for j in axes])
     origin = np.array([columns.origin(axis) for axis in _AXES])
-    empty = first_true(np.asarray(np.isnan(nominal[:, axes]).any(axis=1)))
-    if empty is not None:
+    if (empty := first_true(np.asarray(np.isnan(nominal[:, axes]).any(axis=1)))) is not None:
         raise SessionError(f"{table.where(empty)}: the nominal coordinate is empty")
     row = np.repeat(np.arange(n), k)
     numbers: dict[str, Array] = {_AXES[j]: (nominal[:, j] + origin[j])[row] for j in axes}
@@ -247,7 +247,8 @@ def range_rows(columns: Columns) -> Rows:
     numbers["repeat"] = columns.number("repeat") if columns.has("repeat") else occurrence(place).astype(float)
     numbers |= columns.others((*_NOT_KEPT, *_AXES, *"abc"))
     block = (stations, labels["target"], numbers["repeat"]) if rotary else (stations,)
-    numbers["displacement"] = distance - _first(_groups(*block), distance)
+    # Since the first distance of a group that was read.
+    numbers["displacement"] = distance - pd.Series(distance).groupby(_groups(*block)).transform("first").to_numpy()
     position = np.column_stack([numbers.get(axis, np.zeros(len(table))) for axis in _AXES])
     setups = [
         {"id": name, "position": _station(columns, name, stations == name, position, None if rotary else points, notes)}
@@ -264,14 +265,6 @@ def range_rows(columns: Columns) -> Rows:
 def _groups(*keys: np.ndarray) -> IntArray:
     """(n,) number of the combination of keys, numbers equal to the nanometre."""
     return groups(*(np.round(key, 9) if key.dtype.kind == "f" else key for key in keys))
-
-
-def _first(group: IntArray, values: Array) -> Array:
-    """(n,) the first value that is there of each reading's group."""
-    out = np.full(int(group.max(initial=0)) + 1, np.nan)
-    known = np.flatnonzero(np.isfinite(values))[::-1]
-    out[group[known]] = values[known]
-    return out[group]
 
 
 def _seen(columns: Columns) -> tuple[Array, Array | None]:

@@ -2,11 +2,12 @@
 """Readings by ISO 230-2: deviations at target positions, approached in runs up and down, as direct readings."""
 
 import re
+from collections.abc import Collection
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from machine_tool_calibration.arrays import Array, IntArray, first_true, groups, occurrence
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, groups, occurrence
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import Run
@@ -70,7 +71,9 @@ Series = tuple[Array, Array, np.ndarray, Array, np.ndarray]
 
 def _wide(columns: Columns) -> Series:
     table, mapping = columns.table, columns.mapping
-    position = _header(columns) if mapping.transposed else _positions(columns)
+    if not mapping.transposed:
+        columns.need(("position",), "the target position")
+    position = _header(columns) if mapping.transposed else columns.filled("position")
     known = {rule.column for rule in (*mapping.columns.values(), *mapping.extras.values())}
     names = [str(name) for name in table.cells[:, 0]] if mapping.transposed else list(table.names)
     runs = mapping.runs or _named(table, [name for name in names if name and name not in known])
@@ -97,11 +100,6 @@ def _wide(columns: Columns) -> Series:
         series.append((position[order], number, up, values[order], row[order]))
     position, number, up, values, row = (np.concatenate(parts) for parts in zip(*series, strict=True))
     return position, number, up, values, row
-
-
-def _positions(columns: Columns) -> Array:
-    columns.need(("position",), "the target position")
-    return columns.filled("position")
 
 
 def _header(columns: Columns) -> Array:
@@ -148,20 +146,24 @@ def _long(columns: Columns) -> Series:
     else:
         columns.need(("deviation",), "or actual: what was read")
         deviation = columns.number("deviation")
-    words = np.char.lower(columns.text("direction"))
-    up, down = np.isin(words, _UP), np.isin(words, _DOWN)
-    bad = first_true(~(up | down))
-    if bad is not None:
-        raise SessionError(f"{table.where(bad)}: direction is {str(words[bad])!r}, neither up nor down")
+    up = _of_two(columns, "direction", _UP, _DOWN, "up nor down")
     if columns.has("run"):
         run = columns.filled("run")
-        wrong = first_true(run != np.floor(run))
-        if wrong is not None:
+        if (wrong := first_true(run != np.floor(run))) is not None:
             raise SessionError(f"{table.where(wrong)}: run is {run[wrong]:g}, not a whole number")
         run = run - run.min()
     else:
         run = occurrence(groups(np.round(position, 9), up)).astype(float)
     return position, run, up, deviation, np.arange(len(table))
+
+
+def _of_two(columns: Columns, role: str, one: Collection[str], other: Collection[str], known: str) -> BoolArray:
+    """(rows,) whether a column's word is of one kind; a SessionError names the line of one that is of neither."""
+    words = np.char.lower(columns.text(role))
+    found = np.isin(words, [*one])
+    if (bad := first_true(~found & ~np.isin(words, [*other]))) is not None:
+        raise SessionError(f"{columns.table.where(bad)}: {role} is {str(words[bad])!r}, neither {known}")
+    return np.asarray(found)
 
 
 _CCW = ("ccw", "+", "+1", "1", "g3", "g03", "left", "↺")
@@ -222,12 +224,7 @@ def _setup(columns: Columns, name: str) -> CircleSetup:
 def _runs(columns: Columns, angle: Array) -> tuple[Array, IntArray]:
     """(n,) sense of each reading, and (n,) number of its run: one way round without a break."""
     if columns.has("way"):
-        words = np.char.lower(columns.text("way"))
-        forth, back = np.isin(words, _CCW), np.isin(words, _CW)
-        bad = first_true(~(forth | back))
-        if bad is not None:
-            raise SessionError(f"{columns.table.where(bad)}: way is {str(words[bad])!r}, neither ccw nor cw")
-        sense = np.where(forth, 1.0, -1.0)
+        sense = np.where(_of_two(columns, "way", _CCW, _CW, "ccw nor cw"), 1.0, -1.0)
         return sense, np.cumsum(np.diff(sense, prepend=sense[:1]) != 0.0)
     step = np.angle(np.exp(1j * np.diff(angle, prepend=2.0 * angle[:1] - angle[1:2])))
     # Where a run begins at the place at which the last one ended, the next step says which way it goes.

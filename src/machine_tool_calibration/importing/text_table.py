@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +19,7 @@ from pydantic import Field
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
-from machine_tool_calibration.session.record import Record, validated
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_bytes, reject_foreign_encoding
 
 _CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
@@ -135,8 +134,7 @@ class TextTable:
             plain = plain.where(~plain.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
         written = plain.str.fullmatch(_NUMBER).to_numpy(dtype=bool)
         values = si_values(plain.where(written, "nan").tolist(), unit)
-        bad = first_true(~np.isfinite(values) & ~self._missing(cells))
-        if bad is not None:
+        if (bad := first_true(~np.isfinite(values) & ~self._missing(cells))) is not None:
             line = (self.lines if lines is None else lines)[bad]
             cell = str(text[bad])
             hint = "" if any(sign.isdigit() for sign in cell) else " (--missing, if it stands for no value)"
@@ -152,8 +150,7 @@ class TextTable:
         if self.form.time_format is None and not any(":" in cell for cell in cells[:1000]):
             return None
         values = np.array([_stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
-        bad = first_true(~np.isfinite(values) & ~self._missing(cells))
-        if bad is not None:
+        if (bad := first_true(~np.isfinite(values) & ~self._missing(cells))) is not None:
             raise SessionError(
                 f"{self.where(bad)}: column {column!r}: {str(cells[bad])[:40]!r} is no time stamp such as "
                 "2024-05-03 10:15:00; the form of others is said, as in --time-format '%m/%d/%Y %H:%M:%S'"
@@ -170,11 +167,6 @@ class TextTable:
         if other in text and text.replace(other, "", 1).lstrip("+-").isdigit():
             return f"{shown} (decimal {'comma' if other == ',' else 'point'}?)"
         return shown
-
-
-def parse_form(content: dict[str, Any]) -> FileForm:
-    """How a text is written, from the keys of `FileForm`; a SessionError names what it does not have."""
-    return validated(FileForm, content, "")
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:
