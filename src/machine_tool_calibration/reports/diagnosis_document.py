@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
-from machine_tool_calibration.planning.what_to_measure import Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import Advice, Visibility, alias_groups_of
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -22,6 +22,7 @@ from machine_tool_calibration.residuals.pool import Pool
 _LEAST_PROBABILITY = 0.01
 # Multiple of the largest size that occurs beyond which an effect counts as not detectable.
 _BEYOND = 10.0
+_SEPARATION = ("effects", "measure", "separates", "cosine_before", "cosine_after", "seconds")
 
 
 def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence]) -> dict[str, Any]:
@@ -62,7 +63,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "fit": {"before": _fit(diagnosis.fits[0]), "after": _fit(diagnosis.fits[-1])},
         "candidates": [candidate_document(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
         "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
-        "separate_by": [_separation(s) for s in advice.separations],
+        "separate_by": [picked(s, *_SEPARATION) | {"besides": s.aside or None} for s in advice.separations],
         "absorbed": [{"effect": a.effect, "by": ", ".join(a.families) or "the model"} for a in look.absorbed],
         "structure": [asdict(s) for s in look.structure],
         "structure_left": [asdict(s) for s in diagnosis.left],
@@ -137,12 +138,6 @@ def _fit(joint: JointFit) -> dict[str, Any]:
         "reduced_chi_square": joint.reduced_chi_square,
         "degrees_of_freedom": joint.solution.degrees_of_freedom,
         "p_value": joint.p_value,
-    }
-
-
-def _separation(one: Separation) -> dict[str, Any]:
-    return picked(one, "effects", "measure", "separates", "cosine_before", "cosine_after", "seconds") | {
-        "besides": one.aside or None
     }
 
 

@@ -6,7 +6,6 @@ described where people ask for them, at the attributes of `Fit` with these names
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,14 +26,8 @@ _DECIMALS = 6
 _NO_UNCERTAINTY = 1e-6
 
 
-@dataclass(frozen=True)
-class _Value:
-    """One value of an error motion; its position is NaN for a squareness."""
-
-    motion: str
-    position: float
-    value: float
-    u: float
+_Value = tuple[str, float, float, float]
+"""Name of an error motion or a squareness, its position (of a squareness NaN), value and standard uncertainty."""
 
 
 def error_map(result: Result | JointResult) -> pd.DataFrame:
@@ -77,16 +70,11 @@ def error_motions(result: Result | JointResult) -> pd.DataFrame:
     else:
         values = _single(result)
     rows = []
-    for one in values:
-        single = one.motion in SQUARENESS
-        known, turned = bool(np.isfinite([one.value, one.u]).all()), single or parse_motion(one.motion).is_rotation
-        rows.append(
-            (
-                *(one.motion, one.position, "" if single else "rad" if one.motion[2] in "ABC" else "m"),
-                *((one.value, one.u) if known else (np.nan, np.nan)),
-                *("rad" if turned else "m", known),
-            )
-        )
+    for motion, position, *found in values:
+        single, known = motion in SQUARENESS, bool(np.isfinite(found).all())
+        along = "" if single else "rad" if motion[2] in "ABC" else "m"
+        unit = "rad" if single or parse_motion(motion).is_rotation else "m"
+        rows.append((motion, position, along, *(found if known else (np.nan, np.nan)), unit, known))
     return pd.DataFrame(rows, columns=["motion", "position", "position_unit", "value", "u", "unit", "determined"])
 
 
@@ -113,7 +101,7 @@ def _profiles(content: Mapping[str, Any]) -> Iterator[_Value]:
     found = content["squareness"]
     for name in SQUARENESS:
         if name in found:
-            yield _Value(name, np.nan, found[name], found[f"{name}_u"])
+            yield name, np.nan, found[name], found[f"{name}_u"]
 
 
 def _tables(tables: Mapping[str, Any]) -> Iterator[_Value]:
@@ -121,12 +109,12 @@ def _tables(tables: Mapping[str, Any]) -> Iterator[_Value]:
         if "nodes" in table:
             yield from _curve(name, table["nodes"], table["value"], table["value_u"])
         else:
-            yield _Value(name, np.nan, float(table["value"]), float(table["value_u"]))
+            yield name, np.nan, float(table["value"]), float(table["value_u"])
 
 
 def _curve(name: str, position: Any, value: Any, u: Any) -> Iterator[_Value]:
-    for entry in zip(position, value, u, strict=True):
-        yield _Value(name, *(float(number) for number in entry))
+    for at, found, spread in zip(position, value, u, strict=True):
+        yield name, float(at), float(found), float(spread)
 
 
 def _unknowns(result: Result) -> Iterator[_Value]:
@@ -140,7 +128,7 @@ def _unknowns(result: Result) -> Iterator[_Value]:
         position = angle[parameter.at] if isinstance(parameter.at, str) else parameter.at
         estimate = known.get(parameter.name)
         value, u = (np.nan, np.nan) if estimate is None else (estimate.value, estimate.standard_uncertainty)
-        yield _Value(parameter.owner, np.nan if position is None else position, value, u)
+        yield parameter.owner, np.nan if position is None else position, value, u
 
 
 def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.DataFrame:
