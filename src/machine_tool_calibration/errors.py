@@ -38,6 +38,11 @@ def writing(path: Path, kind: type[CalibrationError] = CalibrationError) -> Iter
         raise kind(f"{name}: cannot be written: {error.strerror}") from None
 
 
+def one_line(text: object) -> str:
+    """The text without line breaks, for a message that must stay one line."""
+    return " ".join(str(text).split())
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """` (did you mean 'backlash_x'?)` for the end of a message, with the nearest known name; empty if none is near."""
     near = difflib.get_close_matches(name, list(known), n=1)

@@ -17,7 +17,8 @@ from click.testing import CliRunner
 from machine_tool_calibration import __version__, cli
 from machine_tool_calibration.cli import main as verbs
 from machine_tool_calibration.cli.main import group, run
-from machine_tool_calibration.cli.shared import console, json_option, one_line, progress_bar, write_json
+from machine_tool_calibration.cli.shared import console, json_option, progress_bar, write_json
+from machine_tool_calibration.errors import one_line
 
 VERB = '''
 """A module of a verb."""

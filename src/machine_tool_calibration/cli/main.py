@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from machine_tool_calibration import __version__, cli
-from machine_tool_calibration.cli.shared import note, one_line
-from machine_tool_calibration.errors import CalibrationError, did_you_mean
+from machine_tool_calibration.cli.shared import note
+from machine_tool_calibration.errors import CalibrationError, did_you_mean, one_line
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

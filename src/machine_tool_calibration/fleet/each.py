@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, one_line
 from machine_tool_calibration.estimation.reduction import single_blas
 
 if TYPE_CHECKING:
@@ -75,9 +75,9 @@ def _attempt(work: Callable[[Item], Found], item: Item) -> Done[Item, Found]:
         with single_blas():
             return Done(item, work(item))
     except CalibrationError as error:
-        return Done(item, None, _line(error))
+        return Done(item, None, one_line(error))
     except Exception as error:  # a fault of this package shall not end the work for all others either
-        return Done(item, None, f"unexpected {type(error).__name__}: {_line(error)}")
+        return Done(item, None, f"unexpected {type(error).__name__}: {one_line(error)}")
 
 
 def _client(stack: ExitStack, scheduler: str | None, workers: int | None) -> Client:
@@ -96,7 +96,7 @@ def _client(stack: ExitStack, scheduler: str | None, workers: int | None) -> Cli
         place = scheduler or _kept(stack.enter_context(LocalCluster(n_workers=workers, **_LOCAL)))
         return stack.enter_context(Client(place, timeout=_PATIENCE))
     except (OSError, ValueError) as error:
-        raise CalibrationError(f"{scheduler or 'Dask'}: no scheduler answers: {_line(error)}") from None
+        raise CalibrationError(f"{scheduler or 'Dask'}: no scheduler answers: {one_line(error)}") from None
 
 
 def _kept(cluster: LocalCluster) -> LocalCluster:
@@ -135,8 +135,4 @@ def _on_dask(client: Client, work: Callable[[Item], Found], items: Sequence[Item
             except KilledWorker:
                 yield Done(item, None, "every process that worked on it died")
     except CancelledError as error:
-        raise CalibrationError(f"Dask's scheduler went away: {_line(error)}") from None
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())
+        raise CalibrationError(f"Dask's scheduler went away: {one_line(error)}") from None

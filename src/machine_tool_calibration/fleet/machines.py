@@ -74,7 +74,6 @@ class Machine:
 class Occurrence:
     """An effect on a machine."""
 
-    effect: str  # its id
     machine: str  # the machine's name
     found: Mapping[str, Any]  # what its last session says of it: `probability` and `parameters`
     sessions: int  # in how many of its sessions it was found
@@ -101,7 +100,7 @@ class Machines:
             counted = Counter(one["effect"] for own in machine.diagnoses if own for one in own["effects"])
             for one in machine.diagnosis["effects"] if machine.diagnosis else ():
                 name = one["effect"]
-                found.setdefault(name, []).append(Occurrence(name, machine.name, one, counted[name]))
+                found.setdefault(name, []).append(Occurrence(machine.name, one, counted[name]))
         return {name: tuple(found[name]) for name in sorted(found, key=lambda name: (-len(found[name]), name))}
 
 

@@ -2,6 +2,7 @@
 """What was found of many sessions as Parquet files, which pandas and DuckDB read."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ def machine_tables(fleet: Machines) -> dict[str, pd.DataFrame]:
         "machines": [_machine(one) for one in fleet.machines],
         "sessions": [row for one in fleet.machines for row in _sessions(one)],
         "sizes": [
-            {"machine": one.name, "date": entry.date, "session": entry.label, **size.document()}
+            {"machine": one.name, "date": entry.date, "session": entry.label, **asdict(size)}
             for one in fleet.machines
             for entry in one.entries
             for size in entry.sizes

@@ -14,7 +14,7 @@ import sqlite3
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -178,7 +178,7 @@ class Logbook:
                 return found[0], False
             values = {name: getattr(entry, name) for name in _COLUMNS}
             values["result"] = json.dumps(entry.result, ensure_ascii=False, allow_nan=False)
-            values["sizes"] = json.dumps([size.document() for size in entry.sizes], ensure_ascii=False)
+            values["sizes"] = json.dumps([asdict(size) for size in entry.sizes], ensure_ascii=False)
             names, places = ", ".join(_COLUMNS), ", ".join("?" * len(_COLUMNS))
             done = database.execute(f"INSERT INTO entries ({names}) VALUES ({places})", [*values.values()])
         return replace(entry, number=int(done.lastrowid or 0)), True

@@ -3,7 +3,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -43,10 +43,6 @@ class Size:
     # since it is none of a change.
     u: float
     unit: str  # SI
-
-    def document(self) -> dict[str, Any]:
-        """As an entry of a document."""
-        return asdict(self)
 
 
 def sizes_of(

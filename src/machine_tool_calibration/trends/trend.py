@@ -199,7 +199,6 @@ class Course:
     name: str  # of the error
     unit: str  # SI
     dates: tuple[str, ...]  # when it was measured
-    days: Array  # (n,) since the first one
     value: Array  # value, u: (n,) with standard uncertainties, in the unit
     u: Array
     way: IntArray  # (n,) which way of measuring each is of
@@ -302,4 +301,4 @@ def _course(name: str, entries: Sequence[Entry], ways: Sequence[str], among: int
     way = np.array([listed.index(own) for _, own, _ in rows])
     told = explain(days, value, u, way, among) if len(rows) >= FEWEST and days[-1] > 0 else None
     dates = tuple(entry.date for entry, _, _ in rows)
-    return Course(name, rows[0][2].unit, dates, days, value, u, way, tuple(listed), told, limit)
+    return Course(name, rows[0][2].unit, dates, value, u, way, tuple(listed), told, limit)
