@@ -11,6 +11,7 @@ import pytest
 from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.session import simulate
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.text import load_yaml
@@ -81,7 +82,7 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
 def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> None:
     measurement = simulate(method, effects={"linear_drift": 1e-9} if method != "probing" else {}, seed=3)
     subject = Subject(measurement)
-    model = subject.tried(None, "", measurement.chosen(None, (), ()), frozenset(), frozenset())
+    model = subject.tried(None, "", FitRequest(measurement.sessions), frozenset(), frozenset())
     now, *then = looked_ahead(subject, model, lambda what, share: None)
     assert now.typical == model.step.map_uncertainty, "that which Improve and the history show"
     known = now.uncertainty > 0
@@ -96,7 +97,7 @@ def test_what_a_budget_adds_stays_whatever_is_measured_next() -> None:
         described = measurement.sessions[0].description.model_copy(update={"budget": lines})
         own = replace(measurement, sessions=(replace(measurement.sessions[0], description=described),))
         subject = Subject(own)
-        model = subject.tried(None, "", own.chosen(None, (), ()), frozenset(), frozenset())
+        model = subject.tried(None, "", FitRequest(own.sessions), frozenset(), frozenset())
         every.append({one.words: one.uncertainty**2 for one in looked_ahead(subject, model, lambda what, share: None)})
     read, complete = every
     both = read.keys() & complete.keys()

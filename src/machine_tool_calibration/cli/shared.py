@@ -173,8 +173,7 @@ class Report(Protocol):
 def bar(begin: str, *, counted: bool = False) -> Iterator[Callable[..., None] | None]:
     """A progress bar on standard error, of how many of all where they are counted; None where that is no terminal.
 
-    Yields:
-        What is told `description`, `completed` and `total`.
+    It is told `description`, `completed` and `total`.
     """
     screen = console(stderr=True)
     if not screen.is_terminal:
@@ -210,8 +209,3 @@ def note_written(paths: Sequence[Path]) -> None:
     """Say on standard error what was written."""
     if paths:
         note(f"wrote {', '.join(str(path) for path in paths)}")
-
-
-def one_line(text: object) -> str:
-    """The text without line breaks, for a message that must stay one line."""
-    return " ".join(str(text).split())

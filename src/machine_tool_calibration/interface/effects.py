@@ -120,10 +120,7 @@ def catalogue(own: Sequence[PhysicalEffect] = ()) -> pd.DataFrame:
             "title": effect.title,
             "formula": effect.formula,
             "enters": effect.kind,
-            "coefficients": (
-                *(f"{one.name} ({one.unit})" for one in effect.coefficients),
-                *(f"{one.name} ({one.unit})" for one in effect.shapes),
-            ),
+            "coefficients": tuple(f"{one.name} ({one.unit})" for one in (*effect.coefficients, *effect.shapes)),
             "needs": tuple(effect.needs),
             "methods": tuple(effect.methods),
             "instruments": tuple(effect.instruments),

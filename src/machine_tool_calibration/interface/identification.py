@@ -402,7 +402,8 @@ def identify(
     """
     ids, known = split_effects(effects, own)
     measurement = load(session)
-    return fitted(measurement, measurement.chosen(model, ids, known, keep_all))
+    asked = FitRequest(measurement.sessions, measurement.labels, model, ids, known, keep_all)
+    return fitted(measurement, asked)
 
 
 def fitted(measurement: Measurement, asked: FitRequest, history: tuple[Entry, ...] = ()) -> Fit:
@@ -413,12 +414,7 @@ def fitted(measurement: Measurement, asked: FitRequest, history: tuple[Entry, ..
 def split_effects(
     effects: str | PhysicalEffect | Sequence[str | PhysicalEffect], own: Sequence[PhysicalEffect]
 ) -> tuple[tuple[str, ...], tuple[PhysicalEffect, ...]]:
-    """Ids of effects, and the user's own: those known already and those that are among the effects.
-
-    Args:
-        effects: ids, or effects of the user's own.
-        own: those known already.
-    """
+    """Ids of effects, and the user's own: those known already (`own`) and those that are among the effects."""
     given = (effects,) if isinstance(effects, str | PhysicalEffect) else tuple(effects)
     known = {effect.id: effect for effect in (*own, *(e for e in given if isinstance(e, PhysicalEffect)))}
     return tuple(e.id if isinstance(e, PhysicalEffect) else str(e) for e in given), tuple(known.values())

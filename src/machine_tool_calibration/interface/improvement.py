@@ -19,6 +19,7 @@ from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.plots.improve import draw_improvement, draw_steps, residuals_before_and_after, step_table
 from machine_tool_calibration.reports.improvement import improvement_document, improvement_parts
 from machine_tool_calibration.reports.quantities import micrometres
@@ -126,7 +127,8 @@ def improve(
     """
     measurement = load(session)
     ids, known = split_effects(effects, own)
-    return Improvement.of(complete.improve(measurement.chosen(model, ids, known)), measurement=measurement)
+    asked = FitRequest(measurement.sessions, measurement.labels, model, ids, known)
+    return Improvement.of(complete.improve(asked), measurement=measurement)
 
 
 def plot_improvement(fits: Sequence[Fit]) -> Figure:

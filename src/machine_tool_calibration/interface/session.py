@@ -11,10 +11,8 @@ from typing import Any
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import one_below_the_other
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown
-from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.identification import session_headline
 from machine_tool_calibration.reports.information import session_parts
@@ -37,12 +35,6 @@ class Measurement(Shown):
     sessions: tuple[Session, ...]
     labels: tuple[str, ...]
     truth: Mapping[str, Any] | None = None
-
-    def chosen(
-        self, model: str | None, effects: tuple[str, ...], own: tuple[Effect, ...], keep_all: bool = False
-    ) -> FitRequest:
-        """The sessions with a model, as the package itself uses them."""
-        return FitRequest(self.sessions, self.labels, model, effects, own, keep_all)
 
     @property
     def method(self) -> str:

@@ -124,16 +124,7 @@ def require_whole(**numbers: Any) -> None:
 
 
 def require_kind(value: Any, kind: type, words: str) -> None:
-    """Refuse an argument that is of another kind.
-
-    Args:
-        value: what was given.
-        kind: what it has to be.
-        words: that, in words, with the argument's name before it.
-
-    Raises:
-        CalibrationError: it is not.
-    """
+    """Refuse (CalibrationError) an argument of another kind; `words` say which it has to be, its name before it."""
     if not isinstance(value, kind):
         raise _refused(words, value)
 

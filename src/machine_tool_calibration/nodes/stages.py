@@ -42,13 +42,9 @@ def stage_of(procedure: Procedure) -> int:
 class Stages:
     """Decides between stages whether the measurement goes on, and says so on `until/status`.
 
-    Args:
-        client: beside the graph.
-        procedure: that it runs, paused before every stage.
-        until: what is to be reached.
-        model: variant of the model; the default if absent.
-        effects: added to the model.
-        by_hand: whether a person takes the instrument to its setups, if it has to be taken there.
+    The client is beside the graph, which runs the procedure and pauses before every stage; `until` is what is to be
+    reached by a variant of the model (its default if None) with effects. `by_hand`: a person takes the instrument to
+    its setups, if it has to be taken there.
     """
 
     def __init__(

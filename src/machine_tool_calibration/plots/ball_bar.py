@@ -33,9 +33,8 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 def draw_circles(circles: Sequence[Mapping[str, Any]], values: Sequence[Mapping[str, Any]]) -> Figure:
     """A panel each setup: both paths, magnified, about their least-squares circle, with its figures.
 
-    Args:
-        circles: of each setup and way round `setup`, `plane`, `way`, `angle`, rad, `deviation`, m.
-        values: figures of ISO 230-4 with `setup`, `name`, `value`, `U`, m.
+    A circle has of each setup and way round `setup`, `plane`, `way`, `angle`, rad, and `deviation`, m; figures of
+    ISO 230-4 have `setup`, `name`, `value` and `U`, m.
     """
     setups = list(dict.fromkeys(circle["setup"] for circle in circles))
     largest = max(float(np.abs(numbers(circle["deviation"])).max()) for circle in circles) or 1e-6

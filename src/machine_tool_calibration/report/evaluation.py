@@ -56,21 +56,12 @@ def evaluate(
     level: float = 0.95,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Evaluation:
-    """Calculate all of it.
+    """Calculate all of it; to look for what the model lacks (`diagnosis`) takes longest.
 
-    Args:
-        measured: what, and how.
-        diagnosis: whether to look for what the model lacks, which takes longest.
-        seed: of random draws.
-        contributors: of the uncertainty budget; if there are none those that the sessions state, and for tolerances
-            those of their instruments to begin with.
-        tolerances: by figure, as `budget.tolerances` reads them.
-        rule: of decision, as for `conformity`.
-        level: its conformance probability.
-        progress: called with what is being done and the share that is finished.
-
-    Raises:
-        ModelError: the data does not allow the model.
+    Without contributors to the uncertainty those count that the sessions state, and for tolerances those of their
+    instruments to begin with. Tolerances are by figure, as `budget.tolerances` reads them; rule and level (its
+    conformance probability) are those of `conformity`, `seed` is of random draws. A ModelError: the data does not allow
+    the model.
     """
     progress("identifying", 0.0)
     result = identify_sessions(measured.chosen)

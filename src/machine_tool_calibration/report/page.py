@@ -133,15 +133,10 @@ def save_pictures(content: Sequence[Section], folder: Path) -> list[Path]:
 
 
 def pdf(page: str, files: Sequence[tuple[str, bytes, str]] = (), **options: Any) -> bytes:
-    """A page on paper.
+    """A page of HTML that holds all it needs on paper, with options of WeasyPrint's `write_pdf`.
 
-    Args:
-        page: HTML that holds all it needs.
-        files: that it holds: name, content, and what each is to the page (`AFRelationship` of ISO 19005-3).
-        options: of WeasyPrint's `write_pdf`.
-
-    Raises:
-        CalibrationError: no Pango.
+    Of files that it holds: name, content, and what each is to the page (`AFRelationship` of ISO 19005-3). A
+    CalibrationError: no Pango.
     """
     try:
         from weasyprint import HTML, Attachment  # type: ignore[import-untyped]

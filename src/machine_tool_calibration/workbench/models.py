@@ -208,7 +208,7 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     if entry is not None and entry.data != fingerprint(*sessions):
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
-    first = measurement.chosen(variant, (), tuple(own))
+    first = FitRequest(sessions, measurement.labels, variant, (), tuple(own))
     found = subject.judged(first, (), ())
     progress("fitting", 0.5)
     models: list[Model] = []
