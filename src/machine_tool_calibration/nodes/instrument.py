@@ -139,8 +139,7 @@ class Instrument(ManagedNode):
         self._world.add_pose(stamp, place_of(message.pose.position), rotation_of(message.pose.orientation))
         if self._simulated_time:
             self._environment.tell(stamp)
-            if self._requests:
-                self._answer_requests()
+            self._answer_requests()
 
     def _pointed(self, side: int, message: PoseStamped | JointState) -> None:
         """The true beam, and what the pointer says of itself: the setup that the beam belongs to."""
@@ -173,7 +172,7 @@ class Instrument(ManagedNode):
         if moved:
             self._lose_datum(moved, is_fault=False)
         self._note_loss()
-        if self._simulated_time and self._requests:
+        if self._simulated_time:
             self._answer_requests()
 
     # --- requests
@@ -262,8 +261,7 @@ class Instrument(ManagedNode):
         if len(batch):
             self._recent.add(batch)
             self._publish_stream(batch)
-        if self._requests:
-            self._answer_requests()
+        self._answer_requests()
 
     def _publish_stream(self, batch: Batch) -> None:
         rows = np.column_stack([batch.time * 1e-9, batch.path - self._zero])
@@ -289,8 +287,7 @@ class Instrument(ManagedNode):
     def _check(self) -> None:
         """A few times a second: deadlines of requests, the link, the environment in real time."""
         self._note_loss()
-        if self._requests:
-            self._answer_requests()
+        self._answer_requests()
         self._show()
         if not self._simulated_time:
             self._environment.tell(now(self))

@@ -3,7 +3,7 @@
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -248,12 +248,18 @@ class LivePage:
         """Those of the readings from the first on that are drawn."""
         numbers = self._thinned.of(first, total)
         some = [rows[number - first] for number in numbers]
+        return self._drawn(numbers, some, self._factor, _displacement)
+
+    def _drawn(
+        self, numbers: list[Any], some: Sequence[tuple[int, float]], factor: float, shown: Callable[[float], str]
+    ) -> dict[str, list[Any]]:
+        """Columns of a plot: values (m), the place of its setup before each, by the numbers of the readings."""
         return {
             "number": numbers,
-            "value": [self._factor * value for _, value in some],
+            "value": [factor * value for _, value in some],
             "color": [setup_color(setup) for setup, _ in some],
             "setup": [self._name(setup) for setup, _ in some],
-            "shown": [_displacement(value) for _, value in some],
+            "shown": [shown(value) for _, value in some],
         }
 
     def _draw_residuals(self) -> None:
@@ -265,14 +271,8 @@ class LivePage:
         thinned = Thinned(_DRAWN)
         thinned.grow(len(found.row))
         drawn = thinned.of(0, len(found.row))
-        row, setup, residual = found.row[drawn], found.setup[drawn].astype(int).tolist(), found.residual[drawn]
-        self._left.data = {
-            "number": row,
-            "value": 1e6 * residual,
-            "color": [setup_color(one) for one in setup],
-            "setup": [self._name(one) for one in setup],
-            "shown": [quantity(value, "m") for value in residual.tolist()],
-        }
+        some = list(zip(found.setup[drawn].astype(int).tolist(), found.residual[drawn].tolist(), strict=True))
+        self._left.data = self._drawn(found.row[drawn].tolist(), some, 1e6, partial(quantity, unit="m"))
         self._residuals.title.text = f"Residuals of the map: {quantity(rms(found.residual), 'm')} RMS"
 
     def _draw_fall(self) -> None:

@@ -135,7 +135,6 @@ class ProcedureForm:
         self._ready(True)
 
     def _fail(self, error: Exception) -> None:
-
         self.text = ""
         self._said.object = f'<p class="error" role="alert">{escape(str(error))}</p>'
         self._ready(False)

@@ -45,14 +45,9 @@ class Reply:
     def __init__(self) -> None:
         self._future: Future = Future()
 
-    @property
-    def sent(self) -> bool:
-        """Whether it has been sent."""
-        return bool(self._future.done())
-
     def send(self, success: bool, message: str) -> None:
         """Answer the request; a second answer is ignored."""
-        if not self.sent:
+        if not self._future.done():
             self._future.set_result((success, message))
 
     async def into(self, response: Trigger.Response) -> Trigger.Response:
