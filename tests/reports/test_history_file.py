@@ -35,7 +35,7 @@ def test_it_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     path = tmp_path / "history.yaml"
     for words in ("backlash_y", "no", "1e5", "2026-01-01", "a: b # c", "'\"", "ä µ", "- x", "~", "0x10"):
         wanted = History().grown([entry(), entry("e", change=words, made=words)])
-        assert update_history(path, lambda old, wanted=wanted: wanted) == wanted
+        assert update_history(path, lambda old, wanted=wanted: wanted)[1] == wanted
         assert read_history(path) == wanted
     assert [p.name for p in tmp_path.iterdir()] == ["history.yaml"]
     assert "mtcal history" in path.read_text()
@@ -82,7 +82,7 @@ def test_a_damaged_entry_is_named_by_its_line(tmp_path: Path) -> None:
 
 def test_a_crash_in_the_middle_leaves_the_old_history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "history.yaml"
-    old = update_history(path, lambda old: grown("backlash_y"))
+    _, old = update_history(path, lambda old: grown("backlash_y"))
 
     def killed(*args: object) -> None:
         raise KeyboardInterrupt
@@ -93,7 +93,7 @@ def test_a_crash_in_the_middle_leaves_the_old_history(tmp_path: Path, monkeypatc
             with pytest.raises(KeyboardInterrupt):
                 update_history(path, lambda history: history.grown([entry(), entry("dead_path")]))
         assert read_history(path) == old
-    new = update_history(path, lambda history: history.grown([entry(), entry("dead_path")]))
+    _, new = update_history(path, lambda history: history.grown([entry(), entry("dead_path")]))
     assert read_history(path) == new != old
 
 
@@ -158,7 +158,7 @@ def test_a_history_of_several_sessions_names_them_and_comes_back(tmp_path: Path)
     parts = [Part(label=name, model="rigid_body", data=f"sha256-{name}", set_aside=(4,)) for name in ("a", "b")]
     history = History().grown([entry(sessions=tuple(parts), set_aside=())])
     path = tmp_path / "a+b.history.yaml"
-    assert update_history(path, lambda old: history) == read_history(path) == history
+    assert update_history(path, lambda old: history)[1] == read_history(path) == history
     assert history.models[0].readings_aside == 2
     # The same sessions in another order are the same model.
     again = entry(sessions=tuple(reversed(parts)), set_aside=())

@@ -43,7 +43,7 @@ def command(
     if not path.exists():
         raise no_model(measurements)
     if undo or use is not None:
-        history = update_history(path, lambda old: old.undone() if use is None else old.using(use))
+        _, history = update_history(path, lambda old: old.undone() if use is None else old.using(use))
         note(f"model {history.current} is the current one")
     else:
         history = read_history(path)

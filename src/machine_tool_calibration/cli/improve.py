@@ -15,7 +15,6 @@ from machine_tool_calibration.cli.diagnosing import Wanted, new_model_options, s
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.history import History
     from machine_tool_calibration.diagnosis.improve import Improvement as Done
     from machine_tool_calibration.session.session import Session
 
@@ -29,14 +28,7 @@ def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[l
     now = datetime.now(UTC).isoformat(timespec="seconds")
     data = fingerprint(*sessions)
     made = [entry_of(step, data, prints, now, "improve", number=k) for k, step in enumerate(done.steps, 1)]
-    before: list[History] = []
-
-    def grown(old: History) -> History:
-        before.append(old)
-        return old.grown(made)
-
-    new = update_history(path, grown)
-    old = before[-1]
+    old, new = update_history(path, lambda before: before.grown(made))
     if new == old:
         return [], f"{path} holds these models already: unchanged, model {new.current} is the current one"
     if len(new.models) == len(old.models):

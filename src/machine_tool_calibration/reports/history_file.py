@@ -88,8 +88,8 @@ def read_history(path: Path) -> History:
         raise SessionError(f"{error}; mend the file, or move it away to start a new history") from None
 
 
-def update_history(path: Path, change: Callable[[History], History]) -> History:
-    """Read the history, change it, and put the new one in its place.
+def update_history(path: Path, change: Callable[[History], History]) -> tuple[History, History]:
+    """Read the history, change it, and put the new one in its place; the old one and the new.
 
     Whatever happens, the file holds the whole old history or the whole new one; two commands at once wait for each
     other. A SessionError if it is damaged, or cannot be written.
@@ -102,7 +102,7 @@ def update_history(path: Path, change: Callable[[History], History]) -> History:
                 _write(path, new)
     except OSError as error:
         raise SessionError(f"{path}: cannot be written: {error.strerror}") from None
-    return new
+    return old, new
 
 
 @contextmanager

@@ -112,8 +112,7 @@ class State:
     @property
     def warning(self) -> str:
         """That the history has a model that fits better; empty if it has none."""
-        better = self.history.better
-        if better is None:
+        if (better := self.history.better) is None:
             return ""
         return (
             f"Model {better.number} ({better.change or 'first model'}) fits better, with a reduced chi-square of "
@@ -258,7 +257,7 @@ class State:
         """Change the history; where its file cannot be written this window's own."""
         self._kept = True
         try:
-            self.history = update_history(history_path(*self.paths), change)
+            _, self.history = update_history(history_path(*self.paths), change)
         except SessionError as error:
             self.history = change(self.history)
             self._kept = False
