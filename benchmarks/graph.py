@@ -62,7 +62,7 @@ def main() -> None:
             before = {name: processor_time(graph.process_id(name)) for name in names}
             begin = time.perf_counter()
             operator.call("procedure/start", 10.0)
-            assert operator.wait(lambda: len(operator.readings) >= total, 600.0)
+            assert operator.wait(lambda: len(operator.heard.session()[1]) >= total, 600.0)
             seconds = time.perf_counter() - begin
             cost = {name: processor_time(graph.process_id(name)) - before[name] for name in names}
             operator.wait(lambda: status()["state"] == "finished", 10.0)

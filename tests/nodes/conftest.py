@@ -116,7 +116,7 @@ def finish() -> Callable[[Client], None]:
         begin(operator)
         ended(operator)
         total = operator.procedure.number("total")
-        assert operator.wait(lambda: len(operator.readings) >= total, PATIENCE)
+        assert operator.wait(lambda: len(operator.heard.session()[1]) >= total, PATIENCE)
 
     return run
 
@@ -181,7 +181,7 @@ def collected(operator: Client, count: int) -> None:
     """Wait until the estimator has so many readings, and the description, which may come later than they."""
 
     def there() -> bool:
-        status = operator.estimator
+        status = operator.heard.said("estimator")
         return status.number("readings") == count and status.entries["session"] == "described"
 
-    assert operator.wait(there, PATIENCE), operator.estimator
+    assert operator.wait(there, PATIENCE), operator.heard.said("estimator")

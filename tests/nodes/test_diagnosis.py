@@ -139,12 +139,14 @@ def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, 
     client = operator.node.create_client(Trigger, "estimator/diagnose")
     assert operator.wait(client.service_is_ready, PATIENCE)
     client.call_async(Trigger.Request())
-    assert operator.wait(lambda: operator.estimator.entries["busy"] == "True", PATIENCE)
+    assert operator.wait(lambda: operator.heard.said("estimator").entries["busy"] == "True", PATIENCE)
     with pytest.raises(CalibrationError, match=r"busy: diagnosing from 200 readings \(\d+ s so far\); ask again"):
         operator.call("estimator/identify", PATIENCE)
-    assert operator.wait(lambda: "effects, alone and together" in operator.estimator.entries["step"], PATIENCE)
+    assert operator.wait(
+        lambda: "effects, alone and together" in operator.heard.said("estimator").entries["step"], PATIENCE
+    )
     feed(operator, session, start=3 * 10**18)  # another session, while it calculates
-    assert operator.estimator.entries["busy"] == "True"
+    assert operator.heard.said("estimator").entries["busy"] == "True"
     assert graph.ends("estimator", signal.SIGTERM)
     operator.wait(lambda: False, 0.1)  # what it has sent
     assert not operator.heard.outcome("estimator").message, "it ends in the middle of its work"

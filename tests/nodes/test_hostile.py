@@ -149,12 +149,12 @@ def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
         operator.wait(lambda: False, 0.01)
     ended(operator)
     assert said
-    assert operator.wait(lambda: operator.estimator.number("readings") == 72, PATIENCE)
-    assert operator.wait(lambda: len(operator.readings) == 72, PATIENCE)
+    assert operator.wait(lambda: operator.heard.said("estimator").number("readings") == 72, PATIENCE)
+    assert operator.wait(lambda: len(operator.heard.session()[1]) == 72, PATIENCE)
     table = readings(operator)
     assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, SITE)).max() < 1e-9
     assert operator.wait(
-        lambda: operator.procedure.number("ignored") > 50 < operator.estimator.number("ignored"),
+        lambda: operator.procedure.number("ignored") > 50 < operator.heard.said("estimator").number("ignored"),
         PATIENCE,
     )
     graph.check()  # all are alive

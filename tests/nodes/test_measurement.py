@@ -15,13 +15,13 @@ from .reference import reference
 
 
 def readings(operator):
-    names = list(operator.readings[0].names)
-    table = np.array([list(message.values) for message in operator.readings])
+    names = list(operator.heard.session()[1][0].names)
+    table = np.array([list(message.values) for message in operator.heard.session()[1]])
     return {name: table[:, index] for index, name in enumerate(names)}
 
 
 def since_first(operator, displacement):
-    setups = [message.values[list(message.names).index("setup_index")] for message in operator.readings]
+    setups = [message.values[list(message.names).index("setup_index")] for message in operator.heard.session()[1]]
     first = {}
     for setup, value in zip(setups, displacement, strict=True):
         first.setdefault(setup, value)
@@ -37,7 +37,7 @@ def test_two_graphs_in_one_domain(bench, finish):
         finish(operator)
     for operator, site in zip(operators, (SITE, other), strict=True):
         table = readings(operator)
-        assert len(operator.readings) == 72
+        assert len(operator.heard.session()[1]) == 72
         assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, site)).max() < 1e-12
 
 

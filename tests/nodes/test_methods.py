@@ -156,7 +156,7 @@ def test_a_pointer_turns_about_a_target_that_stands_still(bench, finish):
     site = {**FREE, "station_uncertainty": None, "machine": {**MACHINE, **procedure["session"]["machine"]}}
     operator = bench.operator(bench.graph(procedure=procedure, site=site))
     finish(operator)
-    columns = [dict(zip(message.names, message.values, strict=True)) for message in operator.readings]
+    columns = [dict(zip(message.names, message.values, strict=True)) for message in operator.heard.session()[1]]
     azimuth, displacement = (np.array([row[name] for row in columns]) for name in ("azimuth", "displacement"))
     true = Site(SiteSpec.model_validate(site))
     place = {axis: columns[0][axis] for axis in "xyz"}

@@ -20,12 +20,12 @@ SOON = {"resend": 0.2}  # s, so that a command that was lost is soon sent again
 
 
 def reaches(operator, count):
-    assert operator.wait(lambda: len(operator.readings) >= count, WHOLE), operator.procedure
+    assert operator.wait(lambda: len(operator.heard.session()[1]) >= count, WHOLE), operator.procedure
 
 
 def check(operator):
     ended(operator)
-    assert operator.wait(lambda: len(operator.readings) == TOTAL, PATIENCE)
+    assert operator.wait(lambda: len(operator.heard.session()[1]) == TOTAL, PATIENCE)
     table = readings(operator)
     assert np.abs(since_first(operator, table["displacement"]) - reference(LONG, SITE)).max() < 1e-9
     assert all(np.diff(table["time"]) > 0)
@@ -56,7 +56,7 @@ def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
     graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": 2.0}})
     operator = bench.operator(graph)
     begin(operator)
-    resumed(operator, lambda: len(operator.readings) >= 20)
+    resumed(operator, lambda: len(operator.heard.session()[1]) >= 20)
     graph.kill("rotary_pointer")
     resumed(operator, lambda: operator.procedure.message.startswith("no answer from rotary pointer"))
     assert re.fullmatch(r"no answer from rotary pointer for \d+ s", operator.procedure.message)
@@ -80,15 +80,15 @@ def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
     operator.call("procedure/pause", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "paused", PATIENCE)
     captured = operator.procedure.number("captured")
-    assert operator.wait(lambda: len(operator.readings) == captured, PATIENCE)
+    assert operator.wait(lambda: len(operator.heard.session()[1]) == captured, PATIENCE)
     operator.wait(lambda: False, 0.3)
-    assert operator.procedure.number("captured") == captured == len(operator.readings)
+    assert operator.procedure.number("captured") == captured == len(operator.heard.session()[1])
     operator.call("procedure/resume", PATIENCE)
     reaches(operator, captured + 20)
     operator.call("procedure/abort", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "aborted", PATIENCE)
     # the last reading may be heard after the state
-    assert operator.wait(lambda: len(operator.readings) == operator.procedure.number("captured"), PATIENCE)
+    assert operator.wait(lambda: len(operator.heard.session()[1]) == operator.procedure.number("captured"), PATIENCE)
     run = operator.heard.count[0]
     operator.call("procedure/start", PATIENCE)
     assert operator.wait(lambda: operator.heard.count[0] > run, WHOLE)  # those of the last run are forgotten

@@ -94,9 +94,12 @@ def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, pla
     operator = play(bag, "estimator", rate=0.0)
     total = len(open_measurement(bag).readings)
     assert operator.wait(
-        lambda: operator.estimator.number("readings") == total and operator.estimator.entries["session"] == "described",
+        lambda: (
+            operator.heard.said("estimator").number("readings") == total
+            and operator.heard.said("estimator").entries["session"] == "described"
+        ),
         PATIENCE,
-    ), operator.estimator
+    ), operator.heard.said("estimator")
     drawn: list[MarkerArray] = []
     operator.node.create_subscription(MarkerArray, "/error_map/arrows", drawn.append, LATCHED_QOS)
     operator.outcome("estimator/identify", PATIENCE)

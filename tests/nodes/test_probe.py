@@ -268,11 +268,11 @@ def refused_in_front_of_nothing(operator):
 def test_a_probe_that_is_restarted_pairs_nothing_wrongly(bench):
     graph, operator = start(bench, procedure(), site())
     begin(operator)
-    assert operator.wait(lambda: len(operator.readings) >= 60, WHOLE)
+    assert operator.wait(lambda: len(operator.heard.session()[1]) >= 60, WHOLE)
     graph.kill("probe")
     graph.start("probe")
     ended(operator)
-    assert operator.wait(lambda: len(operator.readings) >= 200, PATIENCE)
+    assert operator.wait(lambda: len(operator.heard.session()[1]) >= 200, PATIENCE)
     session = live_session(*operator.heard.session())
     form = FORM * np.random.default_rng([SEED, 41]).normal(size=40)
     # the machine is perfect: a touch shows the form of the very point that its row names

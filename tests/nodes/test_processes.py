@@ -39,7 +39,10 @@ def test_stops_in_the_middle_of_work(bench, number):
         every_parameter_is_described_and_has_the_default_of_the_example(operator)
     begin(operator)
     # all of them at work, the estimator too, which takes longest to start
-    assert operator.wait(lambda: len(operator.readings) >= 2 and operator.estimator.number("readings") > 0, PATIENCE)
+    assert operator.wait(
+        lambda: len(operator.heard.session()[1]) >= 2 and operator.heard.said("estimator").number("readings") > 0,
+        PATIENCE,
+    )
     for name in ("estimator", "instrument", "rotary_pointer", "axis_simulator", "procedure"):
         assert graph.ends(name, number), (graph.folder / f"{name}.log").read_text()
 

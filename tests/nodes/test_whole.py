@@ -73,10 +73,10 @@ def whole(tmp_path_factory, ros_domain):
         )
         beside = Heard()
         listener = bench.stack.enter_context(closing(Client(ros_domain, heard=beside).listen()))
-        assert operator.wait(lambda: operator.recorder.message == "recording", PATIENCE)
+        assert operator.wait(lambda: operator.heard.said("recorder").message == "recording", PATIENCE)
         begin(operator)
         ended(operator)
-        assert operator.wait(lambda: len(operator.readings) >= 72, PATIENCE)
+        assert operator.wait(lambda: len(operator.heard.session()[1]) >= 72, PATIENCE)
         graph.start("estimator")  # one that comes late gets every reading
         collected(operator, 72)
         identified = operator.outcome("estimator/identify", PATIENCE)

@@ -169,24 +169,9 @@ class Client(AbstractContextManager["Client"]):
         self._is_interrupted = True
 
     @property
-    def readings(self) -> list[Reading]:
-        """Those that came, in the order of time."""
-        return self.heard.session()[1]
-
-    @property
     def procedure(self) -> NodeState:
         """What the procedure said of itself last, on the topic of its own."""
         return self.heard.said("procedure")
-
-    @property
-    def estimator(self) -> NodeState:
-        """Likewise the estimator."""
-        return self.heard.said("estimator")
-
-    @property
-    def recorder(self) -> NodeState:
-        """Likewise the recorder."""
-        return self.heard.said("recorder")
 
     def has_node(self, name: str) -> bool:
         """Whether a node of that name is in the graph's namespace."""
@@ -264,8 +249,7 @@ class Client(AbstractContextManager["Client"]):
     def _ended(self, node: str, message: DiagnosticArray) -> None:
         for outcome in message.status[:1]:
             self.heard.outcomes[node] = _state(node, outcome.name, outcome)
-            call = self._goals.pop(outcome.hardware_id, None)
-            if call is not None:
+            if (call := self._goals.pop(outcome.hardware_id, None)) is not None:
                 call.answer(not outcome.level[0], outcome.message)
 
     def _read(self, message: JointState) -> None:

@@ -89,8 +89,7 @@ class Estimator(ManagedNode):
 
     def _read(self, message: JointState) -> None:
         reading = Reading(list(message.name), list(message.position))
-        forgotten = self._received.add(from_message(message.header.stamp), reading, self._description)
-        if forgotten:
+        if forgotten := self._received.add(from_message(message.header.stamp), reading, self._description):
             self._description = None  # it may be that of the session before
             self.get_logger().info(f"another session has begun; {forgotten} readings forgotten")
         self._heard, self._unheard = True, False
@@ -135,16 +134,14 @@ class Estimator(ManagedNode):
         return response
 
     def _request(self) -> Request:
-        values = {
-            name: self.get_parameter(name).value for name in ("model", "effects", "effects_files", "magnification")
-        }
+        model, effects, files, magnification = self.values("model", "effects", "effects_files", "magnification")
         return Request(
             text=self._text,
             readings=self._received.in_order(),
-            model=values["model"] or None,
-            effects=tuple(name for name in values["effects"] or () if name),
-            files=tuple(name for name in values["effects_files"] or () if name),
-            magnification=values["magnification"],
+            model=model or None,
+            effects=tuple(name for name in effects or () if name),
+            files=tuple(name for name in files or () if name),
+            magnification=magnification,
             now=partial(stamp_now, self),
         )
 

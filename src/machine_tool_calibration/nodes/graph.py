@@ -276,8 +276,7 @@ def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
     A CalibrationError: none is free.
     """
     for domain in ids:
-        claim = _claim(domain)
-        if claim is not None:
+        if (claim := _claim(domain)) is not None:
             with claim:
                 yield domain
             return

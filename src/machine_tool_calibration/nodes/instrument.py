@@ -146,8 +146,7 @@ class Instrument(ManagedNode):
         if not self._world.optics.aims:
             return
         stamp = from_message(message.header.stamp)
-        pair = self._pairs.put(side, stamp, message)
-        if pair is None:
+        if (pair := self._pairs.put(side, stamp, message)) is None:
             return
         truth, state = pair
         setup = setup_named(state, self._setups)
@@ -168,8 +167,7 @@ class Instrument(ManagedNode):
     def _stand(self, stamp: int, setup: str, beam: Beam | None = None) -> None:
         """The instrument stands at a setup from a time on; that it was moved is no fault, but its count is void."""
         index = self._setups.index(setup) if setup in self._setups else 0
-        moved = self._world.set_setup(stamp, setup, index, beam)
-        if moved:
+        if moved := self._world.set_setup(stamp, setup, index, beam):
             self._lose_datum(moved, is_fault=False)
         self._note_loss()
         if self._simulated_time:
@@ -203,8 +201,7 @@ class Instrument(ManagedNode):
     def _window(self) -> Window:
         if self._simulated_time and self._simulated is not None:
             return self._simulated.window(self._averaging)
-        problem = self.source.problem()
-        if problem:
+        if problem := self.source.problem():
             raise NotYet("other", problem)
         if self._simulated is not None:
             self._simulated.need_answers()
@@ -273,8 +270,7 @@ class Instrument(ManagedNode):
         self._stream.publish(message)
 
     def _note_loss(self) -> None:
-        reason = self.source.lost()
-        if reason:
+        if reason := self.source.lost():
             self._lose_datum(reason)
 
     def _lose_datum(self, reason: str, *, is_fault: bool = True) -> None:

@@ -67,7 +67,6 @@ class Measured:
     session: Session  # what was measured
     bag: Path | None  # the recording, if there is one
     result: dict[str, Any] | None  # the result document, if the errors were identified
-    domain: int  # ROS domain id of the graph
     seconds: tuple[float, float]  # from the start of the graph, and of the procedure alone
     counters: dict[str, int]  # what did not go straight, by name
     remarks: tuple[str, ...]  # a sentence for each time that a node that only listens ended and was started again
@@ -158,8 +157,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 document = _identify(client, listeners, captured, progress) if setting.identify else None
             progress("closing the recording", captured, captured)
             graph.stop(["recorder"])
-            session = _save(client, output)
-            if session is None:
+            if (session := _save(client, output)) is None:
                 raise CalibrationError("the procedure ended without a reading")
             counters = {name: client.procedure.number(name) for name in _COUNTERS}
     if document is not None:
@@ -169,7 +167,6 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         session=session,
         bag=listeners.bag if listeners.bag.exists() else None,
         result=document,
-        domain=domain,
         seconds=(time.monotonic() - begin, measured),
         counters=counters,
         remarks=tuple(listeners.remarks),
@@ -185,8 +182,7 @@ def _keeping(client: Client, listeners: _Listeners, output: Path, total: int) ->
     except (KeyboardInterrupt, CalibrationError) as error:
         # those that the procedure has told of may still be on their way
         client.wait(lambda: client.heard.count[1] >= client.procedure.number("captured"), _ON_THE_WAY, watched=False)
-        kept = _save(client, output)
-        if kept is None:
+        if (kept := _save(client, output)) is None:
             raise
         where = f"{len(kept.readings)} of {total} readings are kept in {output / 'session'}"
         raise type(error)("; ".join((str(error) or "interrupted", where, *listeners.remarks))) from error
@@ -243,7 +239,7 @@ def _await_ready(client: Client, names: Sequence[str]) -> None:
 
     def records() -> bool:
         """Whether the recorder hears all it needs, in simulated time the clock too: later it would miss the start."""
-        return "recorder" not in names or client.recorder.entries.get("state") == "recording"
+        return "recorder" not in names or client.heard.said("recorder").entries.get("state") == "recording"
 
     def all_there() -> bool:
         return ready() and records() and all(client.has_node(name) for name in names)
@@ -304,12 +300,12 @@ def _identify(client: Client, listeners: _Listeners, total: int, progress: Progr
     progress("identifying", total, total)
 
     def collected() -> bool:  # the description may come later than the readings
-        status = client.estimator
+        status = client.heard.said("estimator")
         return status.number("readings") >= total and status.entries.get("session") == "described"
 
     while True:
         if not client.wait(collected, _COLLECT):
-            has, resets = (client.estimator.number(name) for name in ("readings", "resets"))
+            has, resets = (client.heard.said("estimator").number(name) for name in ("readings", "resets"))
             why = "; estimator/reset was called during the measurement" if resets else ""
             raise CalibrationError(f"the estimator has {has} of {total} readings{why}")
         said = [*listeners.remarks]  # nothing comes of it where the estimator is started again meanwhile

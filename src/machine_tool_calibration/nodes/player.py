@@ -138,8 +138,7 @@ class Player(ManagedNode):
 
     def _create_outlets(self, wanted: set[str], *, with_clock: bool) -> dict[str, _Outlet]:
         names = {name if name.startswith("/") else f"/{name}" for name in wanted}
-        unknown = sorted(names - set(self.bag.topics))
-        if unknown:
+        if unknown := sorted(names - set(self.bag.topics)):
             known = ", ".join(sorted(self.bag.topics))
             raise CalibrationError(f"{self.bag.path}: no topic {unknown[0]!r}; it holds {known or 'none'}")
         outlets = {}

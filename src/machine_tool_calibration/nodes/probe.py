@@ -182,8 +182,7 @@ class Probe(ManagedNode):
 
     def _begin(self, attempt: int, begin: int, position: dict[str, float]) -> None:
         """Set off from a position in front of a point."""
-        surface = self._surface
-        if surface is None:
+        if (surface := self._surface) is None:
             return
         try:
             touch = surface.part.meant(position)

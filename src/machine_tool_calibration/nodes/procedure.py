@@ -143,7 +143,7 @@ class ProcedureNode(ManagedNode):
         ):
             offer(self, f"~/{name}", handler)
         self.every(_TICK, self._tick)
-        self._publish_session()
+        self._session.publish(String(data=self._text))
         self._show()
 
     def deactivate(self) -> None:
@@ -163,7 +163,7 @@ class ProcedureNode(ManagedNode):
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)
-            self._publish_session()
+            self._session.publish(String(data=self._text))
         if self._arrival_source == "executed" and self._joints is not None:
             # where the axes stand before the first move is all that is needed of it
             self.destroy_subscription(self._joints)
@@ -261,8 +261,7 @@ class ProcedureNode(ManagedNode):
         """A request was answered; what it gave is told by `instrument/outcome`, before or after."""
         if response is None:
             return
-        goal = goal_of(response.message)
-        if goal:
+        if goal := goal_of(response.message):
             self._match(0, goal, token)
         else:
             self._hear(events.CaptureFailed(token, "other", response.message[:_LONGEST] or "it gives no reason"))
@@ -272,8 +271,7 @@ class ProcedureNode(ManagedNode):
             self._match(1, status.hardware_id, message)
 
     def _match(self, way: int, goal: str, content: object) -> None:
-        pair = self._answers.put(way, goal, content)
-        if pair is not None:
+        if (pair := self._answers.put(way, goal, content)) is not None:
             self._hear(event_of(*pair, self._environment.at))
 
     def _hear(self, event: events.Event) -> None:
@@ -315,9 +313,6 @@ class ProcedureNode(ManagedNode):
         # an instrument that is not there never answers: the deadline notices
         future = client.call_async(Trigger.Request())
         future.add_done_callback(lambda done: self._answered(token, done.result()))
-
-    def _publish_session(self) -> None:
-        self._session.publish(String(data=self._text))
 
     def _partners(self) -> str:
         aims = any(step.aim is not None and step.points for step in self.sequencer.plan.steps[:1])

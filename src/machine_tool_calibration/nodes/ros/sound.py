@@ -34,8 +34,7 @@ def require_sound(message: Any) -> None:
     finite or absurdly large, names without values or values without names, a rotation that is none, or far more than
     any message of the graph holds.
     """
-    fault = _fault(message)
-    if fault:
+    if fault := _fault(message):
         raise CalibrationError(fault.lstrip(". "))
 
 
@@ -57,8 +56,7 @@ def _check_of(kind: Any) -> _Check:
 
     def check_all(message: Any) -> str:
         for name, check in checks:
-            fault = check(getattr(message, name))
-            if fault:
+            if fault := check(getattr(message, name)):
                 return f".{name}{fault}"
         return own(message) if own is not None else ""
 
@@ -81,8 +79,7 @@ def _number(value: float) -> str:
 
 
 def _numbers(values: array[float] | np.ndarray | list[float]) -> str:
-    fault = _length(values)
-    if fault:
+    if fault := _length(values):
         return fault
     if len(values) <= _ONE_BY_ONE:
         bad = [index for index, value in enumerate(values) if value > _LARGEST_VALUE or value < -_LARGEST_VALUE]
@@ -92,12 +89,10 @@ def _numbers(values: array[float] | np.ndarray | list[float]) -> str:
 
 
 def _messages(messages: Sequence[Any]) -> str:
-    fault = _length(messages)
-    if fault:
+    if fault := _length(messages):
         return fault
     for index, message in enumerate(messages):
-        fault = _fault(message)
-        if fault:
+        if fault := _fault(message):
             return f"[{index}]{fault}"
     return ""
 

@@ -189,8 +189,7 @@ class Taps:
         handle, kind = tap.subscription.handle, tap.subscription.msg_type
         with handle:
             for _ in range(_MOST_AT_ONCE):
-                found = handle.take_message(kind, True)
-                if found is None:
+                if (found := handle.take_message(kind, True)) is None:
                     return
                 data, info = found
                 number = info["publication_sequence_number"] or 0
