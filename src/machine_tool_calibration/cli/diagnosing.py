@@ -55,8 +55,7 @@ class Wanted:
         from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
         history = read_history(history_path(*paths))
-        entry = history.in_use
-        if entry is None:
+        if (entry := history.in_use) is None:
             raise no_model(paths)
         if entry.data != fingerprint(*sessions):
             note(f"the readings have changed since model {entry.number} was made of them")

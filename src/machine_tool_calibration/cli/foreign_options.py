@@ -80,19 +80,16 @@ def mapping_from(given: dict[str, Any], description: Path | None = None) -> tupl
         if not isinstance(described, dict):
             raise CalibrationError(f"{description}: a session.yaml is a mapping of keys")
         said = {key: value for key, value in described.items() if key != "format"}
-        _refuse_otherwise(content.get("session"), said, str(path), str(description))
+        before = content.get("session")
+        both = [key for key in said if isinstance(before, dict) and key in before and before[key] != said[key]]
+        if both:
+            names = ", ".join(both)
+            raise CalibrationError(
+                f"{path}: session says {names} otherwise than --description {description}: say it in one"
+            )
         _update(content, "session", said, path)
     _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
     return content, "command line" if path is None else str(path)
-
-
-def _refuse_otherwise(before: Any, said: dict[str, Any], path: str, description: str) -> None:
-    """Refuse what a mapping's `session` and a session.yaml both say, and not the same."""
-    both = [key for key in said if isinstance(before, dict) and key in before and before[key] != said[key]]
-    if both:
-        raise CalibrationError(
-            f"{path}: session says {', '.join(both)} otherwise than --description {description}: say it in one"
-        )
 
 
 def _update(content: dict[str, Any], key: str, more: dict[str, Any], path: Path | None) -> None:

@@ -95,7 +95,8 @@ class Verbs(click.Group):
         told = summaries | {name: _paragraph(one.help) for name, one in plugins.items() if one is not None}
         sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known))), "Plugins": tuple(plugins)}
         for title, names in sections.items():
-            rows = [(name, _first_sentence(told[name])) for name in names if name in told]
+            # The first sentence, which does not end at "et al."
+            rows = [(name, re.split(r"(?<!\bal)\. ", told[name])[0].rstrip(".")) for name in names if name in told]
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
@@ -116,8 +117,7 @@ def _built_in(only: str | None = None) -> dict[str, str]:
             if module.name.startswith("_") or only not in (None, name):
                 continue
             file = f"{module.name}/__init__.py" if module.ispkg else f"{module.name}.py"
-            summary = _summary(Path(path) / file)
-            if summary is not None:
+            if (summary := _summary(Path(path) / file)) is not None:
                 verbs[name] = summary
     return verbs
 
@@ -141,11 +141,6 @@ def _summary(source: Path) -> str | None:
 
 def _paragraph(text: str | None) -> str:
     return one_line((text or "").strip().split("\n\n")[0])
-
-
-def _first_sentence(text: str) -> str:
-    # A sentence does not end at "et al."
-    return re.split(r"(?<!\bal)\. ", text)[0].rstrip(".")
 
 
 def _needs_ros(error: ModuleNotFoundError) -> str:

@@ -78,8 +78,7 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
         if columns.unread:
             some = ", ".join(map(repr, columns.unread[:_SHOWN])) + (" …" if len(columns.unread) > _SHOWN else "")
             notes.append(f"{columns.table.source}: not read: {some}")
-    missing = int(np.count_nonzero(~np.isfinite(readings.displacement)))
-    if missing:
+    if missing := int(np.count_nonzero(~np.isfinite(readings.displacement))):
         notes.append(f"{missing} of {len(readings)} readings are empty cells: kept as missing")
     if isinstance(description, Direct) and not description.terms:
         notes.append(
@@ -170,8 +169,7 @@ def _reordered(time: Array, origin: IntArray, tables: Sequence[TextTable]) -> li
 def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
     given = dict(mapping.session)
     content: dict[str, Any] = {"format": "mtcal-session/1", **rows.description}
-    wanted = content.get("method", given.get("method"))
-    if wanted is None:
+    if (wanted := content.get("method", given.get("method"))) is None:
         raise SessionError(
             f"{source}: a table of readings needs the session.yaml that says of what, with --description session.yaml"
         )

@@ -84,7 +84,10 @@ def _wide(columns: Columns) -> Series:
         unit = columns.unit_of("actual" if mapping.actual else "deviation", entry.column)
         columns.read[what] = (entry.column, unit)
         if mapping.transposed:
-            at = _row(table, names, entry.column, what)
+            if names.count(entry.column) != 1:
+                times = names.count(entry.column)
+                raise SessionError(f"{table.source}: {times} rows begin with {entry.column!r} ({what})")
+            at = names.index(entry.column)
             values = table.parsed(table.cells[at, 1:].astype(np.str_), what, unit, [table.lines[at]] * len(position))
             row = np.full(len(position), at)
         else:
@@ -112,12 +115,6 @@ def _header(columns: Columns) -> Array:
     if not np.isfinite(values).all():
         raise SessionError(f"{table.source} line {table.header_line}: a position in the header is empty")
     return values
-
-
-def _row(table: TextTable, names: list[str], name: str, what: str) -> int:
-    if names.count(name) != 1:
-        raise SessionError(f"{table.source}: {names.count(name)} rows begin with {name!r} ({what})")
-    return names.index(name)
 
 
 def _named(table: TextTable, names: list[str]) -> tuple[Run, ...]:

@@ -91,11 +91,9 @@ def _shifted(text: str, power: int) -> float:
 
 def quantity(text: str, wanted: str, what: str) -> float:
     """A number with its unit, such as `1.5 um`, in SI; a SessionError if it is not of the wanted dimension."""
-    match = _QUANTITY.fullmatch(text)
-    if match is None:
+    if (match := _QUANTITY.fullmatch(text)) is None:
         raise SessionError(f"{what}: {text!r} is not a number with a unit, as in {_example(wanted)}")
-    unit = match[2]
-    if unit is None:
+    if (unit := match[2]) is None:
         if wanted not in ("number", "temperature"):
             raise SessionError(f"{what}: {text!r} has no unit, as in {_example(wanted)}")
         return float(match[1])
@@ -106,8 +104,7 @@ def quantity(text: str, wanted: str, what: str) -> float:
 
 def unit_in_name(column: str) -> str | None:
     """The unit that a column's name ends with, as in `X [mm]`; None if it has none that is known."""
-    match = _IN_NAME.fullmatch(column)
-    if match is None:
+    if (match := _IN_NAME.fullmatch(column)) is None:
         return None
     name = _SPELLINGS.get(match[2], match[2])
     return name if name in UNITS and name != "1" else None

@@ -327,8 +327,7 @@ class Fit(Answer):
         """
         require_whole(draws=draws, seed=seed)
         own = fitted_sessions(self.result)
-        lines = contributors_of(contributors, self.measurement.sessions)
-        if not lines:
+        if not (lines := contributors_of(contributors, self.measurement.sessions)):
             raise ModelError("contributors has 0 entries, not at least 1")
         names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
         check_names(own, names)

@@ -226,8 +226,7 @@ class McapReader:
             skip = frozenset(at for at, held in self.summary.chunk_channels.items() if held and not held & ids)
         for entry in self._walk(skip, ids):
             if isinstance(entry, RawMessage):
-                channel = known.get(entry.channel)
-                if channel is None:
+                if (channel := known.get(entry.channel)) is None:
                     raise RecordingError(
                         f"{self.path}: a message of a channel {entry.channel} that was never registered"
                     )
@@ -243,8 +242,7 @@ class McapReader:
                     yield from messages_in(self.path, record.offset, unpack(self.path, record), wanted)
 
     def _check_ends(self, stream: BinaryIO) -> None:
-        head = stream.read(len(MAGIC))
-        if not head:
+        if not (head := stream.read(len(MAGIC))):
             raise UnfinishedError(
                 f"{self.path}: the file is empty; the recorder was killed before its first second was over"
             )
@@ -265,8 +263,7 @@ class McapReader:
         """The file's own summary; None where it is not complete."""
         size = os.fstat(stream.fileno()).st_size
         (footer,) = records(self.path, stream, start=size - _FOOTER)
-        start = _parse(self.path, footer, Footer.read).summary_start
-        if not start:
+        if not (start := _parse(self.path, footer, Footer.read).summary_start):
             return None
         if not 8 <= start < size:
             raise RecordingError(f"{self.path}: the footer points outside the file; `mtcal recover` makes it whole")

@@ -132,8 +132,7 @@ class _Salvage:
             if isinstance(entry, RawRecord):
                 self._channels.take(entry)
                 continue
-            channel = self._channels.channels.get(entry.channel)
-            if channel is None:
+            if (channel := self._channels.channels.get(entry.channel)) is None:
                 self._problem(f"a message of a channel {entry.channel} that was never registered", len(entry.data))
                 continue
             yield channel, self._channels.schemas.get(channel.schema_id), entry

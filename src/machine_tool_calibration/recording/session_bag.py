@@ -122,8 +122,7 @@ def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace:
     """
     prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
     names, table = reading_columns(session)
-    time = session.readings.columns.get("time")
-    if time is None:
+    if (time := session.readings.columns.get("time")) is None:
         seconds = np.arange(len(session.readings), dtype=np.float64)
     else:  # none before the start or an earlier reading, which keeps their order
         seconds = np.maximum.accumulate(np.fmax(time, 0.0))

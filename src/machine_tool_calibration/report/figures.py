@@ -153,8 +153,7 @@ def _numbered(plain: Formatter, words: Words) -> Formatter:
 
 def _wrap_titles(figure: Figure) -> None:
     """Break the titles and labels of panels that are wider than these, now that the figure is narrower."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
+    if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
     for panel in figure.axes:
         for title in (panel.title, panel.xaxis.label):

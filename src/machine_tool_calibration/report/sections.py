@@ -180,8 +180,7 @@ def set_up(session: Session) -> TextTable:
 
 def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | figures.Picture | Turnable]:
     yield from figures.map_pictures(found)
-    drawing = figures.turnable(found.result, words)
-    if drawing is not None:
+    if (drawing := figures.turnable(found.result, words)) is not None:
         yield Turnable(drawing)
 
 

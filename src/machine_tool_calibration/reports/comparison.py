@@ -64,8 +64,7 @@ def _map_of(one: Comparison) -> Mapping[str, Any]:
 
 
 def _repeats(overall: Overall, noise: Noise, explained: bool) -> str:
-    size = _of_repeats(noise)
-    if size is None:
+    if (size := _of_repeats(noise)) is None:
         return say("compared.few_repeats")
     if noise.lack_of_fit_p is not None and noise.lack_of_fit_p < priors.LACK_OF_FIT_P:
         key = "lack"

@@ -250,8 +250,7 @@ def _next(advice: Advice) -> TextTable:
 def _detectable(diagnosis: Diagnosis) -> TextTable:
     rows = []
     for found in diagnosis.search.findings:
-        sizes = smallest_sizes(found)
-        if sizes:
+        if sizes := smallest_sizes(found):
             rows.append((found.name, *_smallest(found, sizes)))
     rows.sort()
     return TextTable(say("found.detectable"), heads("effect", "smallest", "occurs"), tuple(rows))

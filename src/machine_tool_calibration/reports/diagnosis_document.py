@@ -149,8 +149,7 @@ def _visibility(one: Visibility) -> dict[str, Any]:
 def _detectable(diagnosis: Diagnosis) -> Iterator[dict[str, Any]]:
     """Smallest size of each effect that this measurement would have found with a power of 80 %."""
     for f in diagnosis.search.findings:
-        smallest = smallest_sizes(f)
-        if smallest:
+        if smallest := smallest_sizes(f):
             units = {size.coefficient.name: size.coefficient.unit for size in f.sizes}
             yield {
                 "effect": f.name,

@@ -73,8 +73,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
         (say("result.readings_used"), say("text.of", n=document["used"], count=document["observations"])),
         (say("result.rms_residual"), quantity(document["rms_residual"], "m")),
     ]
-    chi = document.get("reduced_chi_square")
-    if chi is not None:
+    if (chi := document.get("reduced_chi_square")) is not None:
         rows.append((say("result.chi"), say("result.chi_value", value=rounded(chi))))
     error_map = document.get("error_map") or {}
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))

@@ -41,8 +41,7 @@ _DIAGONAL = (("systematic_D", ("E_D_up", "E_D_down", "E_D")), ("reversal_D", (""
 
 def standard_tables(content: Mapping[str, Any], name: str, most: int | None = None) -> Iterator[Part]:
     """Tables and sentences of one of `STANDARDS`, in the order in which they are read; none where it has no figures."""
-    found = content.get(name)
-    if not found:
+    if not (found := content.get(name)):
         return
     if name == "iso230_2":
         for run in found:

@@ -198,8 +198,7 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
     law = say("diagnosis.formula", name=name, formula=effect.formula) if effect is not None else f"{name}."
     words = [law, *(_changed(change) if change is not None else ())]
     words.append(say("diagnosis.probable", p=probability(found.probability)))
-    predicted = diagnosis.predicted.get(name, ())
-    if predicted:
+    if predicted := diagnosis.predicted.get(name, ()):
         shares = [
             say(
                 "diagnosis.needed" if p.needed else "diagnosis.left_out",
@@ -261,8 +260,7 @@ def _lookalike(diagnosis: Diagnosis, separation: Separation) -> Said:
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
-    left = diagnosis.search.structure
-    if left:
+    if left := diagnosis.search.structure:
         best = left[0]
         yield say("diagnosis.depend", **_dependence(best))
     if diagnosis.contradicted:

@@ -159,8 +159,7 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
 def _part(earlier: Statement, now: Statement, name: str, between: float) -> Change | None:
     """The change of an error motion or of a single number; None where they have nothing in common."""
     one, two = earlier.parts[name], now.parts[name]
-    picks = _common(one, two)
-    if picks is None:
+    if (picks := _common(one, two)) is None:
         return None
     members = one.members[picks[0]], two.members[picks[1]]
     values = [own.numbers.value[m] for own, m in zip((earlier, now), members, strict=True)]

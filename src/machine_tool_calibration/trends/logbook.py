@@ -173,8 +173,7 @@ class Logbook:
         """
         with self._open(make=True) as database, database:
             database.execute("BEGIN IMMEDIATE")  # so that nobody enters between looking and entering
-            found = self._select(database, "WHERE sha256 = ?", entry.sha256)
-            if found:
+            if found := self._select(database, "WHERE sha256 = ?", entry.sha256):
                 return found[0], False
             values = {name: getattr(entry, name) for name in _COLUMNS}
             values["result"] = json.dumps(entry.result, ensure_ascii=False, allow_nan=False)

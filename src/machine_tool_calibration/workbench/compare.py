@@ -149,8 +149,7 @@ class ComparePage:
             self._plots[k].xaxis.axis_label = self._readings.labels[name]
 
     def _draw_plane(self) -> None:
-        plane = self._plane.value
-        if not plane:
+        if not (plane := self._plane.value):
             return
         self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)

@@ -263,8 +263,7 @@ class LivePage:
         }
 
     def _draw_residuals(self) -> None:
-        found = self._feed.map
-        if found is None:
+        if (found := self._feed.map) is None:
             self._left.data = {name: [] for name in _COLUMNS}
             self._residuals.title.text = "Residuals of the map"
             return
@@ -365,8 +364,7 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
     """How the nodes are, as HTML; `now` is of the clock that `NodeState.at` is of."""
     rows = []
     for one in states:
-        silent = one.silent(now)
-        if silent:
+        if silent := one.silent(now):
             mark, color, word = *_SILENT, f"silent for {silent:.0f} s"
         else:
             mark, color, word = _LEVELS[min(one.level, 2)]

@@ -67,7 +67,7 @@ class Saved:
             links.append(f'<li>{escape(str(path))} <a href="{address}" download="{name}">Download {name}</a></li>')
         self.list.object = f"<p>Saved:</p><ul style='margin:0'>{''.join(links)}</ul>"
 
-    def write(self, folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
+    def write(self, folder: Path, files: Mapping[str, str | bytes]) -> None:
         """Write files and offer them; a CalibrationError if one is there that was not written from here."""
         paths = [folder / name for name in files]
         self.claim(paths)
@@ -75,4 +75,3 @@ class Saved:
         for path, content in zip(paths, files.values(), strict=True):
             path.write_bytes(content.encode() if isinstance(content, str) else content)
         self.offer(paths)
-        return paths
