@@ -84,8 +84,11 @@ class Graph:
         # small matrices and several processes: more threads only get in each other's way
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self._domain), "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
-        with (self.folder / f"{name}.log").open("ab") as file:
-            self._running[name] = subprocess.Popen(
+        self._running[name] = self._launch(command, environment, self.folder / f"{name}.log")
+
+    def _launch(self, command: list[str], environment: dict[str, str], log: Path) -> subprocess.Popen[bytes]:
+        with log.open("ab") as file:
+            return subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=file,

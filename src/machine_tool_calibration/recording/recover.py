@@ -63,9 +63,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
             problems += salvage.problems
             lost += salvage.lost
         bag.flush()
-        summaries = bag.summaries
-        topics = len(bag.topics)
-    saved = [summary for summary in summaries if summary.messages]
+        saved, topics = [summary for summary in bag.summaries if summary.messages], len(bag.topics)
     if not saved:
         shutil.rmtree(output)
         reason = f": {problems[0]}" if problems else ""

@@ -29,30 +29,25 @@ class _File:
     def __init__(self, path: Path) -> None:
         self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
         self._size = 0
-        self._waiting = bytearray()
-
-    @property
-    def waiting(self) -> int:
-        """Bytes that are not yet in the operating system's hands."""
-        return len(self._waiting)
+        self.waiting = bytearray()  # what is not yet in the operating system's hands
 
     def tell(self) -> int:
-        return self._size + len(self._waiting)
+        return self._size + len(self.waiting)
 
     def write(self, data: bytes) -> None:
-        self._waiting += data
+        self.waiting += data
 
     def flush(self) -> None:
         try:
-            view = memoryview(bytes(self._waiting))
+            view = memoryview(bytes(self.waiting))
             while view:
                 view = view[os.write(self._handle, view) :]
         except OSError:
             os.ftruncate(self._handle, self._size)
             os.lseek(self._handle, self._size, os.SEEK_SET)
             raise
-        self._size += len(self._waiting)
-        self._waiting.clear()
+        self._size += len(self.waiting)
+        self.waiting.clear()
 
     def close(self) -> None:
         self.flush()
@@ -102,7 +97,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._topics: dict[str, _Registered] = {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._files: list[metadata.FileSummary] = []
+        self.summaries: list[metadata.FileSummary] = []  # what each file holds so far
         self._file: _File | None = None
         self._mcap: Writer | None = None  # None as well while a file that was ended waits for room
         self._kept: tuple[int, dict[str, int]] = (0, {})  # messages of the file that are flushed, by topic
@@ -119,24 +114,19 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     @property
     def messages(self) -> int:
         """Messages so far, those that wait to be written with them."""
-        return sum(file.messages for file in self._files)
+        return sum(file.messages for file in self.summaries)
 
     @property
     def topics(self) -> tuple[metadata.Topic, ...]:
         """The topics with their numbers of messages."""
         return tuple(
-            replace(topic.summary, messages=sum(file.by_topic.get(name, 0) for file in self._files))
+            replace(topic.summary, messages=sum(file.by_topic.get(name, 0) for file in self.summaries))
             for name, topic in self._topics.items()
         )
 
     def has(self, topic: str) -> bool:
         """Whether a topic is registered."""
         return topic in self._topics
-
-    @property
-    def summaries(self) -> tuple[metadata.FileSummary, ...]:
-        """What each file holds so far."""
-        return tuple(self._files)
 
     @property
     def size(self) -> int:
@@ -146,7 +136,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     @property
     def waits(self) -> bool:
         """Whether anything waits to be written, as it does where the disk is full."""
-        return self._file is not None and self._file.waiting > 0
+        return self._file is not None and bool(self._file.waiting)
 
     def add_topic(
         self,
@@ -188,11 +178,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if self._is_full(self._file, log_time):
             self._end()
             writer = self._writer()
-        elif self._file.waiting > _MOST_WAITING:
+        elif len(self._file.waiting) > _MOST_WAITING:
             self.flush()
         sent = max(0, publish_time or log_time)
         writer.add_message(self._channels[topic], log_time, data, sent, sequence & 0xFFFFFFFF)
-        summary = self._files[-1]
+        summary = self.summaries[-1]
         summary.messages += 1
         summary.by_topic[topic] = summary.by_topic.get(topic, 0) + 1
         if log_time < summary.first:
@@ -211,7 +201,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._flushed = time.monotonic()
         with self._written():
             self._writer().flush()  # type: ignore[no-untyped-call]
-        self._kept = (self._files[-1].messages, dict(self._files[-1].by_topic))
+        self._kept = (self.summaries[-1].messages, dict(self.summaries[-1].by_topic))
 
     def close(self) -> None:
         """End the last file and write `metadata.yaml`; a RecordingError if it cannot be (`mtcal recover` mends it)."""
@@ -221,11 +211,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             try:
                 self._end()
             except RecordingError:  # nothing waits any longer
-                self._files[-1].messages, self._files[-1].by_topic = self._kept
+                self.summaries[-1].messages, self.summaries[-1].by_topic = self._kept
                 raise
             part = self.folder / "metadata.yaml.part"
+            information = {"rosbag2_bagfile_information": metadata.bag_information(self.summaries, self.topics)}
             with self._written(), part.open("w", encoding="utf-8") as stream:
-                stream.write(metadata.bag_information_text({"rosbag2_bagfile_information": self._information()}))
+                stream.write(metadata.bag_information_text(information))
                 stream.flush()
                 os.fsync(stream.fileno())
                 os.replace(part, self.folder / "metadata.yaml")
@@ -244,10 +235,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if self._closed:
             raise RecordingError(f"{self.folder}: the recording is closed")
         self._end()  # one that waited for room
-        name = f"{Path(os.path.realpath(self.folder)).name}_{len(self._files)}.mcap"
+        name = f"{Path(os.path.realpath(self.folder)).name}_{len(self.summaries)}.mcap"
         with self._written():
             self._file = _File(self.folder / name)
-        self._files.append(metadata.FileSummary(name))
+        self.summaries.append(metadata.FileSummary(name))
         self._kept, self._flushed = (0, {}), time.monotonic()
         kinds = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
         self._mcap = Writer(self._file, chunk_size=self._chunk_bytes, index_types=kinds)  # type: ignore[arg-type]
@@ -271,7 +262,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._channels[name] = writer.register_channel(name, encoding, self._schemas[kind], told)
 
     def _is_full(self, file: _File, log_time: int) -> bool:
-        summary = self._files[-1]
+        summary = self.summaries[-1]
         if not summary.messages:
             return False
         if self._split_bytes and file.tell() >= self._split_bytes:
@@ -291,10 +282,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._file = None
 
     def _add_information(self, writer: Writer) -> None:
-        writer.add_metadata("rosbag2", {"serialized_metadata": metadata.bag_information_text(self._information())})
-
-    def _information(self) -> dict[str, object]:
-        return metadata.bag_information(self._files, self.topics)
+        information = metadata.bag_information(self.summaries, self.topics)
+        writer.add_metadata("rosbag2", {"serialized_metadata": metadata.bag_information_text(information)})
 
     @contextmanager
     def _written(self) -> Iterator[None]:

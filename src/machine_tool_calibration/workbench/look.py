@@ -86,11 +86,6 @@ def paragraphs(words: Iterable[str]) -> str:
     return "".join("<p>" + re.sub("`([^`]*)`", r"<code>\1</code>", escape(one)) + "</p>" for one in words)
 
 
-def typed_out(words: str) -> str:
-    """What the command line prints; lines that are too long for the window run on."""
-    return f'<pre style="font-size:11px;margin:0;white-space:pre-wrap">{escape(words)}</pre>'
-
-
 def tables(every: Iterable[TextTable]) -> str:
     """Tables of text one below the other, each with its title and note; columns without any text are left out."""
     return "".join(_table(table) for table in every)

@@ -60,11 +60,6 @@ class Model:
         """Numbers of the readings that the user set aside."""
         return self.aside - self.found.keys()
 
-    @property
-    def labels(self) -> tuple[str, ...] | None:
-        """Names of several sessions; None of a single one."""
-        return self.fit.chosen.labels
-
 
 @dataclass(frozen=True)
 class Subject:

@@ -2,6 +2,7 @@
 """The page that says what the next measurement would tell, how long it takes, and what it looks like."""
 
 from functools import partial
+from html import escape
 
 import numpy as np
 import panel as pn
@@ -141,7 +142,8 @@ class PlanPage:
 
         def take(found: tuple[Outlook | None, Outlook, str]) -> None:
             now, then, words = found
-            self._plan.object = look.typed_out(words)
+            # As the command line prints it; lines that are too long for the window run on.
+            self._plan.object = f'<pre style="font-size:11px;margin:0;white-space:pre-wrap">{escape(words)}</pre>'
             every = [*self._every, then] if now is None else [now, then]
             self._procedures[len(every) - 1] = content
             self._show(every, len(every) - 1)

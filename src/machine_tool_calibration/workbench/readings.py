@@ -57,7 +57,7 @@ class Readings:
         self.arrows = "Residuals"  # what they show, in words
         self._sources: dict[str, ColumnDataSource] = {}
         self._page = ""
-        self._chosen: list[int] = []
+        self.chosen: list[int] = []  # places in the columns of the readings that are selected
         self._held = False
 
     def source(self, page: str, *columns: str) -> ColumnDataSource:
@@ -73,7 +73,7 @@ class Readings:
         self._page = page
         self._send()
         if page in self._sources:
-            self._sources[page].selected.indices = self._chosen
+            self._sources[page].selected.indices = self.chosen
 
     def refresh(self) -> None:
         """Hold the model in use."""
@@ -89,16 +89,11 @@ class Readings:
     @property
     def selected(self) -> list[int]:
         """Numbers of the readings that are selected."""
-        return [self.number(k) for k in self._chosen]
+        return [self.number(k) for k in self.chosen]
 
     def number(self, k: int) -> int:
         """Of the reading at a place in the columns."""
         return int(self._number[k])
-
-    @property
-    def chosen(self) -> list[int]:
-        """Places of these in the columns."""
-        return self._chosen
 
     def show_pattern(self, trial: Model | None) -> Array:
         """Lay what a model with one effect more would take out over the residuals; nothing if there is none.
@@ -126,9 +121,9 @@ class Readings:
 
     def select(self, numbers: Iterable[int]) -> None:
         """Light up readings."""
-        self._chosen = np.flatnonzero(np.isin(self._number, sorted(numbers))).tolist()
+        self.chosen = np.flatnonzero(np.isin(self._number, sorted(numbers))).tolist()
         if self._page in self._sources:
-            self._sources[self._page].selected.indices = self._chosen
+            self._sources[self._page].selected.indices = self.chosen
 
     def select_rows(self, words: str) -> None:
         """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`."""
@@ -151,7 +146,7 @@ class Readings:
 
     def _choose(self, page: str, chosen: list[int]) -> None:
         if page == self._page:
-            self._chosen = chosen
+            self.chosen = chosen
 
     def _fixed(self) -> dict[str, object]:
         """Of the first model, which has every reading that can be used unless its history begins later."""
@@ -186,7 +181,7 @@ class Readings:
         color = 0
         setups, colors = [], []
         for k, (session, readings) in enumerate(zip(state.sessions, taken, strict=True)):
-            named = "" if first.labels is None else f"{first.labels[k]}/"
+            named = "" if first.comparison.labels is None else f"{first.comparison.labels[k]}/"
             setups += [named + session.setup_ids[int(s)] for s in readings.setup]
             colors += [packed(setup_color(color + int(s))) for s in readings.setup]
             color += len(session.setup_ids)
