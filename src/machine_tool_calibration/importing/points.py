@@ -140,13 +140,8 @@ def point_rows(columns: Columns, name: str) -> Rows:
         labels["point"] = columns.text("point")[row]
     ids = list(dict.fromkeys(setups.tolist()))
     notes = ["each setup's points were shifted and turned onto the nominal ones"] if mapping.align else []
-    return Rows(
-        numbers,
-        labels,
-        row,
-        {"method": "direct", "datum": "rigid", "setups": [{"id": entry} for entry in ids]},
-        tuple(notes),
-    )
+    session = {"method": "direct", "datum": "rigid", "setups": [{"id": entry} for entry in ids]}
+    return Rows(numbers, labels, row, session, tuple(notes))
 
 
 def _nominal(columns: Columns) -> tuple[Array, list[int]]:

@@ -70,14 +70,8 @@ def _shares(panel: Axes, budget: Budget, sums: Sequence[Sum]) -> None:
     place, begin = np.arange(len(sums)), np.zeros(len(sums))
     largest = [k for k in order[:_MOST_COLORS] if shares[:, k].max() >= _LEAST_SHARE]
     for number, k in enumerate(largest):
-        panel.barh(
-            place,
-            100 * shares[:, k],
-            _HEIGHT,
-            begin,
-            color=COLORS[number],
-            label=named("contributor", budget.lines[k].name),
-        )
+        name = named("contributor", budget.lines[k].name)
+        panel.barh(place, 100 * shares[:, k], _HEIGHT, begin, color=COLORS[number], label=name)
         begin += 100 * shares[:, k]
     rest = np.maximum(100.0 * shares.sum(axis=1) - begin, 0.0)
     if len(order) > len(largest):

@@ -45,14 +45,9 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     right.axhspan(-1.0, 1.0, color=style.BAND, alpha=0.18, lw=0)
     right.axhline(0.0, color="0.6", lw=0.8)
     for k, j in enumerate(axes):
-        right.plot(
-            number,
-            comparison.normalised[:, j],
-            style.MARKERS[k + 2],
-            color=style.COLORS[k + 2],
-            ms=5,
-            label=say("picture.along", axis="xyz"[j]),
-        )
+        marker, color = style.MARKERS[k + 2], style.COLORS[k + 2]
+        label = say("picture.along", axis="xyz"[j])
+        right.plot(number, comparison.normalised[:, j], marker, color=color, ms=5, label=label)
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
     right.set_xlabel(say("picture.point_number"))
     right.set_ylabel(say("picture.normalised"))

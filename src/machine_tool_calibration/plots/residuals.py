@@ -92,14 +92,8 @@ def draw_arrows(
     sign = sign[:, 0]
     if len(place) > _ARROWS:
         keep = np.linspace(0, len(place) - 1, _ARROWS).astype(int)
-        panel.text(
-            0.01,
-            0.01,
-            say("picture.places", n=_ARROWS, count=len(place)),
-            transform=panel.transAxes,
-            fontsize=8,
-            color="0.4",
-        )
+        note = say("picture.places", n=_ARROWS, count=len(place))
+        panel.text(0.01, 0.01, note, transform=panel.transAxes, fontsize=8, color="0.4")
         place, arrow, sign = place[keep], arrow[keep], sign[keep]
     scale = _LENGTH * extent / long
     panel.plot(*1e3 * place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
