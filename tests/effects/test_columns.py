@@ -289,17 +289,31 @@ def test_lost_motion_at_every_position() -> None:
     [
         (1, 0, 1),  # one place tells one number
         (2, 0, 2),
-        (5, 4, 5),  # places read from one side alone tell no play
+        (9, 2, 8),  # places read from one side alone tell no play
+        (5, 4, 4),  # and half of the range no more than a third power
         (21, 0, 8),  # the law's own degree, 7
         (1, 3, 2),  # a slope is allowed for, and its limits hold it
     ],
 )
 def test_lost_motion_has_a_number_for_each_place_read_from_both_sides(both: int, one_way: int, count: int) -> None:
     place = np.r_[np.tile(np.arange(both), 2), both + np.arange(one_way)] * 0.05
-    columns = {"x": place, "dir_x": np.repeat([1.0, -1.0, 1.0], [both, both, one_way])}
-    observations: Any = SimpleNamespace(readings=SimpleNamespace(column=columns.__getitem__))
-    names = [c.name for c in catalogue()["lost_motion_x"].coefficients_for(observations)]
+    names = lost_motion_names(place, np.repeat([1.0, -1.0, 1.0], [both, both, one_way]), {})
     assert names == [f"b{k}" for k in range(count)]
+
+
+@pytest.mark.parametrize(("travel", "count"), [(1.0, 8), (1.3, 8), (1.5, 6), (2.0, 4), (4.0, 2), (40.0, 2)])
+def test_lost_motion_is_as_smooth_as_the_travel_that_was_read_is_short(travel: float, count: int) -> None:
+    """A power of the position that is eight times as large elsewhere is told by no reading."""
+    place = np.tile(np.linspace(0.0, 1.0, 21), 2)
+    names = lost_motion_names(place, np.repeat([1.0, -1.0], 21), {"x": (0.0, travel)})
+    assert names == [f"b{k}" for k in range(count)]
+
+
+def lost_motion_names(place: Array, sense: Array, travel: dict[str, tuple[float, float]]) -> list[str]:
+    columns = {"x": place, "dir_x": sense}
+    session = SimpleNamespace(description=SimpleNamespace(machine=SimpleNamespace(travel=travel)))
+    observations: Any = SimpleNamespace(readings=SimpleNamespace(column=columns.__getitem__), session=session)
+    return [c.name for c in catalogue()["lost_motion_x"].coefficients_for(observations)]
 
 
 def test_expansion_behind_the_sensor_tells_its_time_constant() -> None:

@@ -13,14 +13,14 @@ from machine_tool_calibration.planning.dominant import Dominant, Remedy
 from machine_tool_calibration.planning.what_to_measure import Advice, what_to_measure
 from machine_tool_calibration.reports.diagnosis import Report, diagnosis_report
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-from machine_tool_calibration.reports.goodness import negative_words
+from machine_tool_calibration.reports.goodness import effect_words
 from machine_tool_calibration.reports.identification import result_parts
 from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.verdict import mounted_more_than_once, verdict_words
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, DirectPlan, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import say
 
 from ..told import keys
@@ -193,16 +193,47 @@ def test_a_coefficient_that_is_negative_and_should_not_be_is_said_to_be() -> Non
     negative = say("fit.negative_backlash", name="backlash_y")
     # That of X is nothing, whatever its sign.
     result = identify(session, effects=("backlash_x", "backlash_y"))
-    assert list(negative_words(result.joint, result.effects)) == [negative]
+    assert list(effect_words(result.joint, result.effects)) == [negative]
     assert negative in list(result_parts(result.document(), [session], result))
     run = identify(exchanged("iso230_2", "x"), effects=("lost_motion_x",), keep_all=True)
-    assert say("fit.negative_backlash", name="lost_motion_x.b0") in list(negative_words(run.joint, run.effects))
+    assert say("fit.negative_backlash", name="lost_motion_x") in list(effect_words(run.joint, run.effects))
     found, _ = report("missing_effect")
     positive = identify(found.chosen.sessions[0], effects=("backlash_y",))
-    assert not list(negative_words(positive.joint, positive.effects))
+    assert not list(effect_words(positive.joint, positive.effects))
     turned = diagnose(exchanged("iso230_2", "x"))
     negative = say("fit.negative_backlash", name="backlash_x")
     assert turned.accepted == ("backlash_x",) and list(verdict_words(turned, {}, Advice())).count(negative) == 1
+
+
+def test_lost_motion_is_negative_where_it_was_read() -> None:
+    """Where the constant is negative only because the rest of the travel was not read, nothing is overcompensated."""
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=77)).session
+    travel = {"x": (-0.4, 0.4)}
+    machine = session.description.machine.model_copy(update={"travel": travel})
+    session = replace(session, description=session.description.model_copy(update={"machine": machine}))
+    x, sense = session.readings.column("x"), session.readings.column("dir_x")
+    for sign in (1.0, -1.0):
+        half = sign * (40e-6 * x - 6e-6)
+        moved = replace(session.readings, displacement=session.readings.displacement - half * sense)
+        run = identify(session.with_readings(moved), effects=("lost_motion_x",), keep_all=True)
+        constant = next(p.value for p in run.parameters if p.name == "lost_motion_x.b0")
+        assert constant * sign < -2e-6 and float(np.mean(half)) * sign > 0.0
+        negative = [say("fit.negative_backlash", name="lost_motion_x")] if sign < 0 else []
+        assert list(effect_words(run.joint, run.effects)) == negative
+
+
+def test_a_lead_on_a_grid_of_places_may_be_a_shorter_one() -> None:
+    """Read every 2.5 mm, once in 2 mm looks like once in 10 mm, and in 3.33 mm; where places are uneven it does not."""
+    for x, others in ((np.arange(0.0, 1.0, 2.5e-3), "3.33 mm and 2.00 mm"), (np.linspace(0.0, 1.0, 401) ** 1.1, "")):
+        plan = DirectPlan(kind="points", points=tuple((float(p), 0.0, 0.0) for p in x), terms=("EXX",))
+        session = simulate(SimulationSpec(plan=plan, seed=1)).session
+        wave = 20.0 * session.sigma * np.sin(2.0 * np.pi * session.readings.column("x") / (2e-3 if others else 10e-3))
+        moved = replace(session.readings, displacement=session.readings.displacement + wave)
+        run = identify(session.with_readings(moved), effects=("pitch_periodic_x",), keep_all=True)
+        lead = next(p.value for p in run.parameters if p.name == "pitch_periodic_x.lead")
+        assert lead == pytest.approx(10e-3, rel=0.02)
+        said = " ".join(effect_words(run.joint, run.effects))
+        assert ("pitch_periodic_x.lead looks like" in said) == bool(others) and others in said
 
 
 def test_what_is_likely_is_said_beside_readings_that_were_set_aside() -> None:

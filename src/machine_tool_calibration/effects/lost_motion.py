@@ -12,6 +12,9 @@ from machine_tool_calibration.words import say
 
 LOST_MOTION_DEGREES = 7
 """As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2."""
+# How many times larger than at the places that were read a coefficient may be: the k-th power of the travel over what
+# was read of it. Beyond, the readings would ask for more than any machine has, somewhere else.
+_GROWN = 8.0
 _POWERS = ("the_same", "power_1", "power_2", "power_3")
 
 
@@ -38,18 +41,25 @@ class LostMotion(ReversalEffect):
     moves = "{AXIS}"
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
-        """As many as positions that were approached from both sides allow; a straight line at least."""
+        """As many as positions that were approached from both sides and their range allow; a straight line at least."""
         place = np.round(observations.readings.column(self.axis) / SAME_POSITION)
         sign = np.sign(self.approach(observations))
         both = np.intersect1d(place[sign > 0], place[sign < 0])
-        return self.coefficients[: min(LOST_MOTION_DEGREES, max(len(both) - 1, 1), len(np.unique(place)) - 1) + 1]
+        low, high = self._travel(observations)
+        share = SAME_POSITION * max(1.0, float(np.ptp(both)) if len(both) else 0.0) / max(high - low, SAME_POSITION)
+        powers = min(LOST_MOTION_DEGREES, len(both) - 1, int(1e-9 + np.log(_GROWN) / max(-np.log(share), 0.1)))
+        return self.coefficients[: min(max(powers, 1), len(np.unique(place)) - 1) + 1]
+
+    def _travel(self, observations: Observations) -> tuple[float, float]:
+        """The declared travel, so that sessions fitted together mean the same by a coefficient, m."""
+        position = observations.readings.column(self.axis)
+        low, high = observations.session.description.machine.travel.get(self.axis, (np.inf, -np.inf))
+        return min(low, float(position.min())), max(high, float(position.max()))
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Legendre polynomials of the position, sensed along the axis, against the direction of approach."""
         position = observations.readings.column(self.axis)
-        # The declared travel, so that sessions fitted together mean the same by a coefficient.
-        travel = observations.session.description.machine.travel.get(self.axis, (np.inf, -np.inf))
-        low, high = min(travel[0], float(position.min())), max(travel[1], float(position.max()))
+        low, high = self._travel(observations)
         over = (2.0 * position - low - high) / (high - low)
         series = np.polynomial.legendre.legvander(over, len(self.coefficients_for(observations)) - 1)
         return np.asarray(-series.T * self.approach(observations) * self.along(observations))

@@ -24,6 +24,8 @@ _OVER_PLACES = 2.0 / 3.0
 # most, found by a spectrum so much finer, of places so many of which are a shortest wave, without such a polynomial.
 _STEP, _FINER, _PLACES, _DEGREE = 0.4, 4, 16, 5
 _PEAKS = 3
+# Share of a step by which positions may be off a grid, on which a wave of a shorter lead looks like one of a longer.
+_ON_GRID = 0.05
 
 
 class PitchPeriodic(AxisEffect):
@@ -98,6 +100,16 @@ class PitchPeriodic(AxisEffect):
         angle = 2.0 * np.pi * observations.readings.column(self.axis) / shape[0]
         along = self.along(observations) * self.sign(observations)
         return np.asarray([np.sin(angle) * along, np.cos(angle) * along])
+
+
+def aliases(position: Array, lead: float) -> list[float]:
+    """Shorter leads that look like one at these positions, m: the two nearest, where all are on one grid."""
+    places = _places(position)
+    step = float(np.median(np.diff(places))) if len(places) > 3 else np.inf
+    off = (places - places[0]) / step
+    if not np.isfinite(step) or np.abs(off - np.round(off)).max() > _ON_GRID or lead <= 2.0 * step:
+        return []
+    return [1.0 / (1.0 / step + sign / lead) for sign in (-1.0, 1.0)]
 
 
 class ReversalPeriodic(PitchPeriodic):

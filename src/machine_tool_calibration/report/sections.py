@@ -17,7 +17,7 @@ from machine_tool_calibration.reports import identification
 from machine_tool_calibration.reports.budget import budget_parts, conformity_parts, decision_words
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.goodness import free_words, negative_words
+from machine_tool_calibration.reports.goodness import effect_words, free_words
 from machine_tool_calibration.reports.history_tables import tried_models
 from machine_tool_calibration.reports.improvement import steps_table
 from machine_tool_calibration.reports.information import session_tables
@@ -126,7 +126,7 @@ def _summary(found: Evaluation) -> Iterator[str | TextTable]:
     yield TextTable("", ("", ""), tuple(rows))
     if document["effects"]:
         yield _effects(found)
-        yield from negative_words(found.result.joint, document["effects"])
+        yield from effect_words(found.result.joint, document["effects"])
     for text in document["suspicious"]:
         yield say("diagnosis.suspicious", what=text)
 

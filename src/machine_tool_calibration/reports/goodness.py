@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a fit: how its readings scatter, and what negative coefficients mean."""
+"""What is said of a fit: how its readings scatter, and what the coefficients of its effects leave open."""
 
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.effects.pitch_periodic import aliases
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import (
@@ -82,14 +83,34 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
         yield say("fit.free_nodes", nodes=nodes, places=places)
 
 
-def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
-    """A sentence for every coefficient that is positive by its nature and negative in the readings."""
+def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
+    """A sentence for what is positive by its nature and negative in the readings, and a lead that may be another."""
     unknowns = fit.assembly.unknowns
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]
         # A nonlinear coefficient is positive wherever it is looked for.
-        if unknown.low == 0.0 and unknown.reference == 0.0 and found.value < -_SURE * found.standard_uncertainty:
-            backlash = found.owner.startswith("backlash_")
-            reversal = backlash or found.owner.startswith("lost_motion_")
-            key = "fit.negative_backlash" if reversal else "fit.negative"
-            yield say(key, name=found.owner if backlash else found.name)
+        if unknown.low == 0.0 and unknown.reference == 0.0:
+            reversal = found.owner.startswith(("backlash_", "lost_motion_"))
+            value, u = _mean_size(fit, found.owner) if reversal else (found.value, found.standard_uncertainty)
+            if value < -_SURE * u:
+                key = "fit.negative_backlash" if reversal else "fit.negative"
+                yield say(key, name=found.owner if reversal else found.name)
+        if found.name.endswith("periodic_" + found.owner[-1] + ".lead"):
+            position = [own.model.observations.readings.column(found.owner[-1]) for own in fit.fits]
+            others = [quantity(other, "m") for other in aliases(np.concatenate(position), found.value)]
+            if others:
+                yield say("fit.alias", name=found.name, others=together(others, say("text.and")))
+
+
+def _mean_size(fit: JointFit, effect: str) -> tuple[float, float]:
+    """Mean over the readings of what an effect's first coefficient would be at each, and its standard uncertainty."""
+    for own in fit.fits:
+        first = len(own.model.own)
+        for term in own.model.terms:
+            place = slice(first, first + len(term.parameters))
+            if term.name == effect:
+                weights = term.columns @ term.columns[0] / (term.columns[0] @ term.columns[0])
+                u = np.sqrt(weights @ own.covariance[place, place] @ weights)
+                return float(weights @ own.theta[place]), float(u)
+            first = place.stop
+    raise KeyError(effect)

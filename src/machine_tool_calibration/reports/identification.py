@@ -15,7 +15,7 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result, fit_quality, only_if_right, scatter_p_value
-from machine_tool_calibration.reports.goodness import fit_words, free_words, negative_words, scatter_words
+from machine_tool_calibration.reports.goodness import effect_words, fit_words, free_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
@@ -195,7 +195,7 @@ def result_parts(
         yield say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason)
     tables = (readings_set_aside(document, opened), parameters_table(document, fit, None if on_page else _MOST_ROWS))
     yield from (table for table in tables if table.rows)
-    yield from negative_words(fit, document["effects"])
+    yield from effect_words(fit, document["effects"])
     # Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y.
     added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
     namesakes = added & {*ERROR_MOTIONS, *SQUARENESS}

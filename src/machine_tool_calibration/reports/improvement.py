@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
-from machine_tool_calibration.reports.goodness import negative_words
+from machine_tool_calibration.reports.goodness import effect_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     micrometres,
@@ -60,7 +60,7 @@ def improvement_parts(done: Improvement) -> Iterator[Part]:
     """In words first, then a row for every step."""
     yield _words(done)
     last = done.steps[-1].result
-    yield from negative_words(last.joint, last.effects)
+    yield from effect_words(last.joint, last.effects)
     yield from suspicion_words(done.diagnosis.suspicious)
     yield steps_table(done)
 

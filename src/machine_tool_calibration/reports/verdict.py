@@ -14,7 +14,7 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
-from machine_tool_calibration.reports.goodness import free_words, negative_words, scatter_words
+from machine_tool_calibration.reports.goodness import effect_words, free_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     p_value,
@@ -59,7 +59,7 @@ def verdict_words(
     if not brief:
         for name in diagnosis.accepted:
             yield _found(diagnosis, name, changes.get(name), advice)
-    yield from negative_words(diagnosis.fits[-1], diagnosis.accepted)
+    yield from effect_words(diagnosis.fits[-1], diagnosis.accepted)
     for name, why in diagnosis.refused.items():
         p = probability(diagnosis.search.of(name).probability)
         yield say("diagnosis.refused", effect=_title(diagnosis, name), p=p, why=why)

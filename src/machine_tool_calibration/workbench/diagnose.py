@@ -10,7 +10,7 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange
 
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.goodness import negative_words
+from machine_tool_calibration.reports.goodness import effect_words
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
 from machine_tool_calibration.words import say
 from machine_tool_calibration.workbench import look
@@ -166,7 +166,7 @@ class DiagnosePage:
         else:
             words += residual_change(now.fit.rms_residual, then.rms_residual)
             words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
-        self._said.object = escape(" ".join([f"{words}.", *negative_words(trial.fit.result.joint, [name])]))
+        self._said.object = escape(" ".join([f"{words}.", *effect_words(trial.fit.result.joint, [name])]))
 
     def _use(self) -> None:
         if self._trial is not None:
