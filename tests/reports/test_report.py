@@ -224,7 +224,7 @@ def test_lost_motion_is_negative_where_it_was_read() -> None:
 
 def test_a_lead_on_a_grid_of_places_may_be_a_shorter_one() -> None:
     """Read every 2.5 mm, once in 2 mm looks like once in 10 mm, and in 3.33 mm; where places are uneven it does not."""
-    for x, others in ((np.arange(0.0, 1.0, 2.5e-3), "3.33 mm and 2.00 mm"), (np.linspace(0.0, 1.0, 401) ** 1.1, "")):
+    for x, others in ((np.arange(0.0, 1.0, 2.5e-3), "3.33 mm and 2 mm"), (np.linspace(0.0, 1.0, 401) ** 1.1, "")):
         plan = DirectPlan(kind="points", points=tuple((float(p), 0.0, 0.0) for p in x), terms=("EXX",))
         session = simulate(SimulationSpec(plan=plan, seed=1)).session
         wave = 20.0 * session.sigma * np.sin(2.0 * np.pi * session.readings.column("x") / (2e-3 if others else 10e-3))

@@ -97,7 +97,7 @@ def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
                 yield say(key, name=found.owner if reversal else found.name)
         if found.name.endswith("periodic_" + found.owner[-1] + ".lead"):
             position = [own.model.observations.readings.column(found.owner[-1]) for own in fit.fits]
-            others = [quantity(other, "m") for other in aliases(np.concatenate(position), found.value)]
+            others = [f"{1e3 * other:.3g} mm" for other in aliases(np.concatenate(position), found.value)]
             if others:
                 yield say("fit.alias", name=found.name, others=together(others, say("text.and")))
 
