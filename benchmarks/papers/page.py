@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Papers done anew, as tables for people and as the page of the documentation."""
+"""Papers reproduced, as tables for people and as the page of the documentation."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def study_page(studies: Sequence[Study], pictures: Sequence[str] = ()) -> str:
         pictures: names of picture files beside the page; each begins with its study's name.
     """
     parts = [
-        "# The papers, done anew\n",
+        "# The papers, reproduced\n",
         "Made by `python benchmarks/validate.py --page FILE`. Figures count as equal within what rounding and our own "
         "chance leave.\n",
     ]

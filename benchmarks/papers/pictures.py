@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of papers done anew: what each study hands over is drawn by the function for records of its kind."""
+"""Pictures of papers reproduced: what each study hands over is drawn by the function for records of its kind."""
 
 from __future__ import annotations
 

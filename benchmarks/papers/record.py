@@ -45,7 +45,7 @@ class Printed:
 
 @dataclass(frozen=True)
 class Study:
-    """What was done anew of one paper.
+    """What was reproduced of one paper.
 
     Attributes:
         id: short name.

@@ -279,6 +279,11 @@ def _undetermined(found: Evaluation) -> Iterator[str | TextTable]:
         yield TextTable("", heads("what", "why"), tuple((names, why) for why, names in found_why))
     else:
         yield say("report.all_determined")
+    # Directions of the machine that no reading senses are no unknowns of the model.
+    errors = np.array((document["error_map"] or {}).get("position_error", ()), dtype=float)
+    names = [axis for axis, column in zip("xyz", errors.T, strict=False) if np.isnan(column).all()]
+    if names and len(names) < len(errors.T):
+        yield say("report.not_measured_along", names=", ".join(names))
     yield say("report.datum", datum=identification.datum_words(document))
 
 

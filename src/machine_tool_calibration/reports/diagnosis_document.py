@@ -16,6 +16,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice, Visibility, alias_groups_of
 from machine_tool_calibration.reports.documents import picked
+from machine_tool_calibration.reports.verdict import only_reversal
 from machine_tool_calibration.residuals.pool import Pool
 
 # Probability from which a set of effects is told.
@@ -43,6 +44,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "method": diagnosis.chosen.sessions[0].method if len(diagnosis.chosen.sessions) == 1 else "joint",
         "sessions": [] if diagnosis.chosen.labels is None else list(diagnosis.chosen.labels),
         "verdict": diagnosis.verdict,
+        "only_reversal": bool(diagnosis.accepted) and only_reversal(diagnosis),
         "suspicious": diagnosis.suspicious,
         "provenance": diagnosis.fitted[0].provenance.document(),
         "accepted": list(diagnosis.accepted),

@@ -66,7 +66,7 @@ def description_yaml(description: Description) -> str:
     content = description.model_dump(mode="python", exclude_none=True)
     content = {"format": content.pop("format"), "method": content.pop("method"), **content}
     plain = {key: value for key, value in content.items() if value != {} and value != () and value is not False}
-    # What is 0 and said of no setup needs not be said.
+    # What is 0 and said of no setup need not be said.
     plain["standard_uncertainty"] = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
     return yaml_text(plain)
