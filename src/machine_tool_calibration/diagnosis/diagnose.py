@@ -19,6 +19,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import (
     search_effects,
 )
 from machine_tool_calibration.diagnosis.search.findings import Finding, in_order
+from machine_tool_calibration.diagnosis.search.laws import with_laws
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -185,9 +186,10 @@ def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]
     progress("effects without what lies far out", 0.1)
     try:
         searched, first, _ = _first_model(replace(chosen, sessions=sessions))
-        candidates, structures = _candidates(chosen, first)[0], structure_candidates(Pool(first.joint))
+        pool = with_laws(first.joint, chosen.present)
+        candidates, structures = _candidates(chosen, first)[0], structure_candidates(pool)
         side_by_side = _side_by_side(searched)
-        return search_effects(first.joint, candidates, structures, side_by_side=side_by_side, exact_laws=True).accepted
+        return search_effects(pool, candidates, structures, side_by_side=side_by_side, exact_laws=True).accepted
     except ModelError:
         # What is left does not allow the model: then it says nothing of what is missing.
         return ()
@@ -268,7 +270,7 @@ def _feasible(
     Returns:
         The search; how its effects do on readings that were left out; and which of them were added.
     """
-    pool = Pool(first.joint)
+    pool = with_laws(first.joint, searched.present)
     structures, side_by_side = structure_candidates(pool), _side_by_side(searched)
 
     @cache
@@ -276,7 +278,7 @@ def _feasible(
         return fit_sessions(searched.adding(ids))
 
     def look_for(tried: Sequence[Candidate]) -> EffectSearch:
-        return search_effects(first.joint, tried, structures, side_by_side=side_by_side)
+        return search_effects(pool, tried, structures, side_by_side=side_by_side)
 
     gone, refused, predicted = list[Finding](), dict[str, str](), dict[str, tuple[Prediction, ...]]()
     possible = {candidate.name for candidate in candidates}
@@ -365,9 +367,8 @@ def _left(found: Diagnosis) -> tuple[Structure, ...]:
     """
     if not found.accepted:
         return found.search.structure
-    joint = found.fits[-1]
-    structures, side_by_side = structure_candidates(Pool(joint)), _side_by_side(found.searched)
-    return search_effects(joint, [], structures, side_by_side=side_by_side).structure
+    pool = with_laws(found.fits[-1], found.searched.adding(found.accepted).present)
+    return search_effects(pool, [], structure_candidates(pool), side_by_side=_side_by_side(found.searched)).structure
 
 
 @single_blas()

@@ -59,6 +59,10 @@ IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.2, 0.5: 0.2, 1.0: 0.1}
 """Sizes of smooth functions of place that no model has, in units of the noise, with their probabilities: no larger than
 the readings scatter, since what is larger is an effect, or a structure to be named."""
 
+LAW_SIZES = {0.0: 0.5, 1.0: 0.5}
+"""Sizes of what the laws of effects in the model leave open, in their tolerances: a law holds exactly as probably as
+not, as with effects that are looked for."""
+
 # --- effects of the catalogue, and structures without a cause ---
 
 EFFECT = 0.05

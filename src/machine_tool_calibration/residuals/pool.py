@@ -3,7 +3,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,12 +23,17 @@ _LEAST_SIGNAL = 0.3
 RANDOM = "random functions"
 """Name of the family of the model's own unknowns that are random functions."""
 
+LAWS = "laws"
+"""Name of the family by which effects in the model may differ from their laws."""
+
 
 @dataclass(frozen=True)
 class Pool:
     """All readings of a fit."""
 
     fit: JointFit  # of one or several sessions
+    # (k, n) by what effects in the model may differ from their laws, m per standard deviation; None where they are not
+    laws: Array | None = field(default=None, compare=False)
 
     @cached_property
     def observations(self) -> tuple[Observations, ...]:
@@ -95,8 +100,8 @@ class Pool:
     def spread(self) -> tuple[Array, IntArray, tuple[str, ...]]:
         """(u, n) columns of what does not reproduce, the family of each, and the families' names.
 
-        Unknowns of the model that are random functions are the last family: their columns are those of functions of
-        size 1, in their unit.
+        Functions of known sizes are the last families, in units of their own: what every model lacks a little, what
+        laws leave open, and unknowns of the model that are random functions.
         """
         every = [reproducibility(o) for o in self.observations]
         names = tuple(dict.fromkeys(family.name for own in every for family in own))
@@ -106,7 +111,7 @@ class Pool:
                 mine = family.columns()
                 columns.append(self.only(mine * self.sigma[piece], piece))
                 place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
-        for further, name in ((self._imperfect, IMPERFECT), (self._random, RANDOM)):
+        for further, name in ((self._imperfect, IMPERFECT), (self.laws, LAWS), (self._random, RANDOM)):
             if further is not None:
                 columns.append(further)
                 place.append(np.full(len(further), len(names), dtype=np.int64))
@@ -131,10 +136,11 @@ class Pool:
 
     @property
     def sizes(self) -> tuple[dict[float, float], ...]:
-        """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
+        """Sizes of functions of which they are known, with their probabilities before any reading, by family."""
         imperfect = () if self._imperfect is None else (priors.IMPERFECTION_SIZES,)
         random = () if self._random is None or self.fit.random is None else (self.fit.random.sizes,)
-        return (*imperfect, *random)
+        laws = () if self.laws is None else (priors.LAW_SIZES,)
+        return (*imperfect, *laws, *random)
 
     def _columns_of(self, names: Sequence[str]) -> Array:
         """(q, n) change of each reading per unit of unknowns of the model's terms."""

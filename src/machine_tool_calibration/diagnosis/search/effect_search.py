@@ -67,7 +67,7 @@ class Structure:
 class EffectSearch:
     """What was found in what a fitted model leaves."""
 
-    fit: JointFit  # of the model
+    pool: Pool  # the readings, as the model leaves them
     noise: tuple[Noise, ...]  # what is known of each session's noise
     findings: tuple[Finding, ...]  # effects that are not in the model, the most probable first; absorbed ones last
     groups: tuple[tuple[str, ...], ...]  # effects that this data cannot distinguish, the most probable first
@@ -87,13 +87,18 @@ class EffectSearch:
     without_cause: Array  # (k, n) columns of the structures in the most probable set, and of what its laws leave open
     expected: Array  # (k,) standard deviation of their coefficients
 
+    @property
+    def fit(self) -> JointFit:
+        """That of the model."""
+        return self.pool.fit
+
     def of(self, effect: str) -> Finding:
         """What was found of the effect of an id."""
         return next(f for f in self.findings if f.name == effect)
 
 
 def search_effects(
-    fit: JointFit,
+    pool: Pool,
     candidates: Sequence[Candidate],
     structures: Sequence[Candidate],
     *,
@@ -103,18 +108,18 @@ def search_effects(
     """The posterior over everything that may be missing, and what is read off it.
 
     Args:
-        fit: of one or several sessions.
+        pool: the readings of one or several sessions, with the model's fit.
         candidates: effects that are not in the model.
         structures: functions of the covariates.
         side_by_side: whether many effects are expected at once.
         exact_laws: whether laws are taken to hold exactly, for a first look.
     """
-    columns = outside_the_model(Pool(fit), candidates, structures)
+    fit, columns = pool.fit, outside_the_model(pool, candidates, structures)
     memory, found = _with_memory(columns, side_by_side)
     # What may be in is looked at again with laws that hold to some percent.
     if not exact_laws:
         tried = _to_some_percent(columns, found)
-        columns = outside_the_model(columns.pool, tried, structures) if tried else columns
+        columns = outside_the_model(pool, tried, structures) if tried else columns
         found = _searched(columns, side_by_side, memory)
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
@@ -128,7 +133,7 @@ def search_effects(
     structure = (led_by_places(_structure(columns, found), fit, noise) or _of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
     return EffectSearch(
-        fit=fit,
+        pool=pool,
         noise=noise,
         findings=findings,
         groups=groups,

@@ -85,7 +85,7 @@ def predictions(
     if not names:
         return {}
     found = [search.of(name) for name in names]
-    every = Pool(search.fit)
+    every = search.pool
     shaped = [shaped_at(every, f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
     whole = _log_factors(every, every, shaped, search)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
