@@ -49,8 +49,8 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     from machine_tool_calibration.trends.logbook import Logbook, is_logbook
     from machine_tool_calibration.trends.statement import of_result
 
-    tried = wanted.tried([earlier, measurement])
-    asked = replace(wanted, from_history=tried[1]).open([measurement]).chosen
+    map_has_history, session_has_history = wanted.have_history([earlier, measurement])
+    asked = replace(wanted, from_history=session_has_history).open([measurement]).chosen
     history: list[Statement] = []
     with progress_bar() as progress:
         state = partial(_statement, seed=seed, progress=progress)
@@ -66,12 +66,12 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
             first = of_result(document, str(earlier))
             base = replace(asked, model=first.model, effects=first.effects)
         else:
-            base = replace(wanted, from_history=tried[0]).open([earlier]).chosen
-            if tried[1] and not tried[0]:
+            base = replace(wanted, from_history=map_has_history).open([earlier]).chosen
+            if session_has_history and not map_has_history:
                 base = replace(base, model=asked.model, effects=asked.effects, own=asked.own)
             first = state(base, str(earlier))
         asked = replace(asked, model=wanted.model or base.model, effects=wanted.effects or base.effects)
-        asked = replace(asked, own=base.own) if tried[0] else asked
+        asked = replace(asked, own=base.own) if map_has_history else asked
         now = state(asked, str(measurement))
         answer = Check.of(check(first, now, history))
     tell(answer, as_json)

@@ -63,10 +63,10 @@ def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
     """
     from machine_tool_calibration.effects.catalogue import find_effects
 
-    tried = wanted.tried(paths)
+    having = wanted.have_history(paths)
     if wanted.from_history:
-        out = [replace(wanted, from_history=own).open([path]) for path, own in zip(paths, tried, strict=True)]
-        for path, own in zip(paths, tried, strict=True):
+        out = [replace(wanted, from_history=own).open([path]) for path, own in zip(paths, having, strict=True)]
+        for path, own in zip(paths, having, strict=True):
             if not own:
                 shared.note(f"{path}: no model was tried yet; its method's own is compared")
         return out

@@ -62,7 +62,7 @@ class Wanted:
         chosen = entry.request(sessions, labels, [fingerprint(session) for session in sessions], own)
         return Measured(sessions, chosen, history.way_to(entry.number))
 
-    def tried(self, paths: Sequence[Path]) -> list[bool]:
+    def have_history(self, paths: Sequence[Path]) -> list[bool]:
         """Of which measurements the history is asked for, and has a model; a CalibrationError if none that is asked."""
         from machine_tool_calibration.reports.history_file import history_path, read_history
 
