@@ -125,12 +125,15 @@ class Improvement:
     @property
     def accepted(self) -> tuple[str, ...]:
         """Effects that were found and added, in this order."""
-        return tuple(name for found in (self.diagnosis, *self.further) for name in found.accepted)
+        return tuple(name for found in self._looks for name in found.accepted)
 
     def probability(self, effect: str) -> float:
         """That of an effect when it was added."""
-        looks = (self.diagnosis, *self.further)
-        return next(found.search.of(effect).probability for found in looks if effect in found.accepted)
+        return next(found.search.of(effect).probability for found in self._looks if effect in found.accepted)
+
+    @property
+    def _looks(self) -> tuple[Diagnosis, ...]:
+        return self.diagnosis, *self.further
 
     @property
     def provenance(self) -> Provenance:
