@@ -120,7 +120,8 @@ class AxisSimulator(ManagedNode):
         motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
         ends = seconds(begin - present) + motion.end
         if ends > _FARTHEST:
-            self._set_report(Level.ERROR, f"refused: it would end {ends / _DAY:.0f} days from now", state="refused")
+            words = f"refused: it would end {ends / _DAY:.0f} days from now; does another node publish /clock?"
+            self._set_report(Level.ERROR, words, state="refused")
             return
         self._motion, self._waypoints, self._carried_out = motion, len(points), stamp or begin
         # who measures the table commands it; all others need not hear of it at every target, only now and then

@@ -91,7 +91,7 @@ class Estimator(ManagedNode):
         reading = Reading(list(message.name), list(message.position))
         if forgotten := self._received.add(from_message(message.header.stamp), reading, self._description):
             self._description = None  # it may be that of the session before
-            self.get_logger().info(f"another session has begun; {forgotten} readings forgotten")
+            self.get_logger().warning(f"another session has begun; {forgotten} readings forgotten")
         self._heard, self._unheard = True, False
 
     def _matched(self, event: QoSSubscriptionMatchedInfo) -> None:
