@@ -85,11 +85,11 @@ def test_the_verdict_by_what_is_unknown_and_what_effects_explain(
 ) -> None:
     """Probabilities that something unknown is missing, and nothing; sums of squares without and with the effect."""
     monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose._good_enough", lambda found: good_enough)
-    search = SimpleNamespace(unknown=probabilities[0], nothing=probabilities[1], left=(SimpleNamespace(share=0.9),))
+    search = SimpleNamespace(unknown=probabilities[0], nothing=probabilities[1])
     fits = [SimpleNamespace(solution=SimpleNamespace(chi_square=size)) for size in chi_squares]
-    found = SimpleNamespace(
-        contradicted=False, search=search, fits=fits, accepted=("backlash_y",) * accepted, gross_errors=()
-    )
+    left = (SimpleNamespace(share=0.9),)
+    named = ("backlash_y",) * accepted
+    found = SimpleNamespace(contradicted=False, search=search, fits=fits, accepted=named, gross_errors=(), left=left)
     assert _verdict(cast(Diagnosis, found)) == verdict
 
 

@@ -209,7 +209,7 @@ def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> N
     # The expansion is there; the rest follows the bed, and a drift may be in it.
     assert found.verdict == "missing_effect" and "thermal_expansion_z" in found.accepted
     assert "thermal_lag_z" not in found.accepted
-    assert any(left.covariate == "the bed" and left.share > 0.8 for left in found.search.left)
+    assert any(left.covariate == "the bed" and left.share > 0.8 for left in found.left)
 
 
 def test_a_frame_that_follows_bed_and_nozzle_has_both_named() -> None:
@@ -229,8 +229,8 @@ def test_reversal_of_no_simple_form_is_said_place_by_place() -> None:
     columns = {name: values for name, values in readings.columns.items() if name != "time"}
     found = diagnose(session.with_readings(replace(readings, displacement=moved, columns=columns)))
     assert found.verdict == "missing_effect" and set(found.accepted) <= {"backlash_x", "lost_motion_x"}
-    assert (found.search.left[0].covariate, found.search.left[0].share > 0.3) == ("dir_x and x", True)
-    assert "from place to place" in found.search.left[0].shape
+    assert (found.left[0].covariate, found.left[0].share > 0.3) == ("dir_x and x", True)
+    assert "from place to place" in found.left[0].shape
 
 
 def test_meshes_that_differ_by_tilts_are_said_to() -> None:

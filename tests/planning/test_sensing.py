@@ -184,7 +184,7 @@ def test_an_effect_shows_in_the_first_plan_that_leaves_enough_of_it() -> None:
     shown = where_it_shows(catalogue()["backlash_y"], PLANS)
     assert [one.plan for one in shown] == list(PLANS)
     assert [one.method for one in shown] == ["step_diagonal", "tracking_interferometer", "rotary_axis"]
-    assert shown[2].left is None and shown[2].why_not == "the column y was not recorded"
+    assert shown[2].left is None and shown[2].why_not == "the chain has no axis Y"
     left = {one.plan: one.left for one in shown}
     made = inject(catalogue()["backlash_y"], PLANS)
     assert made is not None and made.from_geometry and not made.taken_up
