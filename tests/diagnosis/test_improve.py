@@ -68,8 +68,11 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
 
 
-def test_the_model_with_what_was_found_is_looked_at_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the first look does not see beside something larger; the probability of each is that of its own look."""
+@pytest.mark.parametrize(("p_value", "left", "looks"), [(0.5, ("wave",), 3), (1e-5, (), 3), (0.5, (), 1)])
+def test_the_model_with_what_was_found_is_looked_at_anew(
+    p_value: float, left: tuple[str, ...], looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What something larger hid, while the model leaves something; the probability of each is that of its own look."""
     looked: list[tuple[str, ...]] = []
     hidden = {(): ("backlash_y", 0.9), ("backlash_y",): ("backlash_x", 0.8)}
 
@@ -77,19 +80,19 @@ def test_the_model_with_what_was_found_is_looked_at_anew(monkeypatch: pytest.Mon
         looked.append(chosen.effects)
         name, probability = hidden.get(chosen.effects, ("", 0.0))
         search = SimpleNamespace(of=lambda effect: SimpleNamespace(probability=probability))
-        return SimpleNamespace(
-            accepted=(name,) * bool(name), set_aside=((),), gross_errors=(), chosen=chosen, search=search
-        )
+        told = {"fits": (SimpleNamespace(p_value=p_value),), "left": left, "search": search}
+        return SimpleNamespace(accepted=(name,) * bool(name), set_aside=((),), gross_errors=(), chosen=chosen, **told)
 
     monkeypatch.setattr(improve_module, "diagnose", look)
     shares: list[float] = []
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=77)).session
     done = improve(session, progress=lambda what, share: shares.append(share))
-    assert looked == [(), ("backlash_y",), ("backlash_y", "backlash_x")]
-    assert done.accepted == ("backlash_y", "backlash_x")
-    assert [step.change for step in done.steps] == ["", "backlash_y", "backlash_x"]
+    both = ("backlash_y", "backlash_x")
+    assert looked == [(), both[:1], both][:looks]
+    assert done.accepted == both[: min(looks, 2)]
+    assert [step.change for step in done.steps] == ["", *done.accepted]
     assert done.steps[-1].result.effects == done.accepted
-    assert [done.probability(name) for name in done.accepted] == [0.9, 0.8]
+    assert [done.probability(name) for name in done.accepted] == [0.9, 0.8][: len(done.accepted)]
     assert shares == sorted(shares) and shares[-1] == 1.0
 
 

@@ -51,8 +51,8 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     """Add the effects that the diagnosis finds, one after the other, and watch the error fall.
 
     SESSION is a session folder or a recording. Every model is identified; the table shows of each the residual, the map
-    of errors and the residual volumetric error. The model with what was found is looked at anew, until nothing more is
-    found. A picture shows the error falling. The models are kept in history.yaml
+    of errors and the residual volumetric error. The model with what was found is looked at anew, as long as it leaves
+    something and more is found. A picture shows the error falling. The models are kept in history.yaml
     in the session's folder, or beside the recording (`mtcal history` lists, compares and undoes them). Several sessions
     of one machine are improved together; their history is beside the first.
 

@@ -2,7 +2,7 @@
 """The loop: diagnose, accept what is found, identify again, see how far the error fell, and look again.
 
 What is found may hide something smaller, or have the wrong shape until it is fitted: so the model with it is looked at
-anew, until nothing more is found.
+anew, as long as it leaves something and more is found.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Coefficient, Entry, Part
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.model.result import Estimate, Result, map_change, map_rms
+from machine_tool_calibration.model.result import Estimate, Result, fit_quality, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
@@ -119,7 +119,7 @@ class Improvement:
     """A model made better."""
 
     diagnosis: Diagnosis  # of the first model
-    further: tuple[Diagnosis, ...]  # of the models with what was found, the last of which finds nothing more
+    further: tuple[Diagnosis, ...]  # of the models with what was found, as long as these left something
     steps: tuple[Step, ...]  # the first model, then one for every change
 
     @property
@@ -154,7 +154,7 @@ def improve(
     chosen = replace(FitRequest.of(subject), keep_all=True)
     steps = [Step(None, "", chosen, identify_sessions(chosen), tuple(() for _ in chosen.sessions))]
     looks = list[Diagnosis]()
-    while len(looks) < _LOOKS and (not looks or looks[-1].accepted):
+    while not looks or (len(looks) < _LOOKS and leaves_something(looks[-1])):
         # Half of what is left of the way, nine tenths of it for the search.
         left = 0.5 ** len(looks)
         found = diagnose(chosen, progress=partial(_on_the_way, progress, 1.0 - left, 0.45 * left))
@@ -167,6 +167,11 @@ def improve(
         chosen = chosen.adding(found.accepted)
     progress("done", 1.0)
     return Improvement(looks[0], tuple(looks[1:]), tuple(steps))
+
+
+def leaves_something(found: Diagnosis) -> bool:
+    """Whether effects were found, and the readings still scatter by more than was declared, or show a pattern."""
+    return bool(found.accepted) and (fit_quality(found.fits[-1].p_value) in ("bad", "nearly") or bool(found.left))
 
 
 def _on_the_way(progress: Callable[[str, float], None], start: float, length: float, what: str, share: float) -> None:

@@ -36,7 +36,7 @@ class Improvement(Answer, Done):
 
     Attributes:
         diagnosis: of the first model.
-        further: of the models with what was found, the last of which finds nothing more.
+        further: of the models with what was found, as long as these left something.
         measurement: the readings.
     """
 

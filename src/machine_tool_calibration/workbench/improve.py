@@ -7,6 +7,7 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
+from machine_tool_calibration.diagnosis.improve import leaves_something
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import of_map, quantity
@@ -173,7 +174,7 @@ class ImprovePage:
         def add() -> None:
             found = self._state.diagnosis
             if self._state.lacking:
-                again = self._improve if found is not None and found.accepted else lambda: None
+                again = self._improve if found is not None and leaves_something(found) else lambda: None
                 self._work.run("adding what was found", self._state.improved().then(again))
             else:
                 self._note.object = escape("Nothing further was found that is missing: see Diagnose.")
