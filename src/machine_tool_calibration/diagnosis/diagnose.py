@@ -11,7 +11,12 @@ from scipy import special
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.adding import Added, add_probable, better_special_cases, explain_nearly_all
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import (
+    Candidate,
+    between_the_grid,
+    effect_candidates,
+    in_the_model,
+)
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
     Structure,
@@ -272,13 +277,14 @@ def _feasible(
     """
     pool = with_laws(first.joint, searched.present)
     structures, side_by_side = structure_candidates(pool), _side_by_side(searched)
+    present = in_the_model(pool, searched.present)
 
     @cache
     def fit_with(ids: tuple[str, ...]) -> FittedSessions:
         return fit_sessions(searched.adding(ids))
 
     def look_for(tried: Sequence[Candidate]) -> EffectSearch:
-        return search_effects(pool, tried, structures, side_by_side=side_by_side)
+        return search_effects(pool, tried, structures, side_by_side=side_by_side, present=present)
 
     gone, refused, predicted = list[Finding](), dict[str, str](), dict[str, tuple[Prediction, ...]]()
     possible = {candidate.name for candidate in candidates}

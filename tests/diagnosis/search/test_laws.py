@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import effect_candidates, in_the_model
 from machine_tool_calibration.diagnosis.search.effect_search import search_effects
 from machine_tool_calibration.diagnosis.search.laws import with_laws
 from machine_tool_calibration.effects.catalogue import find_effects
@@ -38,6 +38,9 @@ def test_the_second_time_constant_of_a_warm_up_is_no_drift(slow: float) -> None:
     found = search_effects(open_, candidates, [], side_by_side=True)
     assert not found.accepted and found.of("linear_drift").probability < 0.1
     assert LAWS in found.spread
+    # Nor where the laws are taken to hold exactly: it is smooth in time as the warm-up is, and smaller.
+    present = in_the_model(exact, request.present)
+    assert not search_effects(exact, candidates, [], side_by_side=True, present=present).accepted
 
 
 def test_geometry_holds_exactly() -> None:

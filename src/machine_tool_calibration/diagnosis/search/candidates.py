@@ -118,6 +118,15 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
     return found, excluded
 
 
+def in_the_model(pool: Pool, effects: Sequence[Effect]) -> list[Candidate]:
+    """Effects that the model has already, of which nothing is tried."""
+    out = []
+    for effect in effects:
+        acting = [o for o in pool.observations if effect.why_not(o) is None]
+        out += [Candidate(effect.id, (), effect, effect.shapes_for(acting[0]))] if acting else []
+    return out
+
+
 def between_the_grid(
     pool: Pool, candidates: Sequence[Candidate], used: Mapping[str, tuple[float, ...]], fit: JointFit
 ) -> list[Candidate] | None:

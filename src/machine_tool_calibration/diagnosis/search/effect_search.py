@@ -26,6 +26,7 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Kind, Parameter
+from machine_tool_calibration.model.result import effect_signal
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import say
@@ -104,6 +105,7 @@ def search_effects(
     *,
     side_by_side: bool,
     exact_laws: bool = False,
+    present: Sequence[Candidate] = (),
 ) -> EffectSearch:
     """The posterior over everything that may be missing, and what is read off it.
 
@@ -113,6 +115,7 @@ def search_effects(
         structures: functions of the covariates.
         side_by_side: whether many effects are expected at once.
         exact_laws: whether laws are taken to hold exactly, for a first look.
+        present: effects that the model has already.
     """
     fit, columns = pool.fit, outside_the_model(pool, candidates, structures)
     memory, found = _with_memory(columns, side_by_side)
@@ -128,7 +131,7 @@ def search_effects(
     # What laws leave that do not hold exactly looks like a further effect, in the model or not.
     among_others = any(parameter.kind is Kind.EFFECT for parameter in fit.assembly.parameters)
     limits = (further if among_others else priors.ACCEPTED, further)
-    accepted = _accepted(columns, groups, found, limits) if still else ()
+    accepted = _accepted(columns, groups, found, limits, present) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (led_by_places(_structure(columns, found), fit, noise) or _of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
@@ -241,7 +244,11 @@ def _findings(columns: Columns, found: Posterior) -> tuple[Finding, ...]:
 
 
 def _accepted(
-    columns: Columns, groups: Sequence[tuple[str, ...]], found: Posterior, limits: tuple[float, float]
+    columns: Columns,
+    groups: Sequence[tuple[str, ...]],
+    found: Posterior,
+    limits: tuple[float, float],
+    present: Sequence[Candidate],
 ) -> tuple[str, ...]:
     """Effects that are in more likely than not, the surest first; of a group of look-alikes one stands for all.
 
@@ -261,16 +268,20 @@ def _accepted(
         accepted.append(heads[best])
         del left[best]
     accepted.sort(key=lambda k: -found.log_factor(k))
-    signals = [_signal(columns, found, k) for k in accepted]
-    effects = [columns.candidates[k] for k in accepted]
+    # What effects in the model may differ from their laws by is no further one, either.
+    signals = [effect_signal(columns.pool.fit, one.name)[0] for one in present]
+    signals += [_signal(columns, found, k) for k in accepted]
+    effects = [*present, *(columns.candidates[k] for k in accepted)]
     places = [columns.blocks[found.point_of(k).block].own for k in accepted]
     plain = marginal_at(columns.gram, (0.0,) * len(found.marginals[0].ratio))
 
     def squares_left(members: Sequence[int]) -> float:
         """Squares that some of them leave, fitted by their laws where all reproduces."""
-        return plain.squares - float(np.sum(fitted_in(plain, np.r_[tuple(places[j] for j in members)])[1] ** 2))
+        own = tuple(places[j - len(present)] for j in members if j >= len(present))
+        return plain.squares - (float(np.sum(fitted_in(plain, np.r_[own])[1] ** 2)) if own else 0.0)
 
-    return without_laws(effects, columns.pool, signals, squares_left)
+    kept = without_laws(effects, columns.pool, signals, squares_left)
+    return tuple(name for name in kept if name in columns.place)
 
 
 def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
