@@ -311,8 +311,8 @@ def _feasible(
             # The refused keep what was found of them.
             search = replace(search, findings=in_order([*search.findings, *gone]))
             in_place = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))
-            late = {name: in_place for name in search.accepted if name not in names}
-            return search, predicted, added._replace(refused=refused, impossible=added.impossible | late)
+            instead_of = {name: in_place for name in search.accepted if name not in names}
+            return search, predicted, added._replace(refused=refused, impossible=added.impossible | instead_of)
 
 
 def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise | None]:

@@ -14,7 +14,7 @@ from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, S
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.collect import ALWAYS, INDEX_COLUMNS, READING_INDEX, Collector
+from machine_tool_calibration.session.collect import INDEX_COLUMNS, READING_INDEX, Collector, lacking_of
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, places_among
@@ -73,9 +73,8 @@ def _runs(
             kept = _labels(bag, message)
         else:
             reading = bag.read(message, joint_state)
-            lacking = ALWAYS.difference(reading.names)
-            if lacking:  # ignored, as by every node of the graph
-                fault = fault or f"{place.row(len(collector))}: it has no {min(lacking)}"
+            if lacking := lacking_of(reading.names):  # ignored, as by every node of the graph
+                fault = fault or f"{place.row(len(collector))}: {lacking}"
                 continue
             # the same description again, and its clock starts anew: the procedure was started again
             if again and reading.value("time") < collector.last_time:

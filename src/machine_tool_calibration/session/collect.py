@@ -2,7 +2,7 @@
 """Readings that come one by one (live, or from a recording) to a session."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +26,6 @@ READING_INDEX = "reading_index"
 """Column of a `reading` message, from 0: which reading of the session it is. Whoever missed some can tell; the session
 itself does not need it.
 """
-
-ALWAYS = frozenset(("setup_index", "displacement"))
-"""Columns of every `reading` message."""
 
 _BLOCK = 4096  # readings
 _SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
@@ -126,20 +123,26 @@ class Reading:
     values: Sequence[float]  # `position`
 
 
-def require_reading(reading: Reading, description: Description | None = None) -> dict[str, float]:
-    """The columns of a message that can be a reading; one of which no session could be made would spoil all others.
+def lacking_of(names: Collection[str]) -> str:
+    """In words, what every `reading` message has and one of these names has not; empty if it has all."""
+    return next((f"it has no {name}" for name in ("displacement", "setup_index") if name not in names), "")
+
+
+def _require_reading(columns: Mapping[str, float], description: Description | None) -> None:
+    """Refuse a message that can be no reading: one of which no session could be made would spoil all others.
 
     A SessionError: it has no displacement or no setup, or is of a place that the description, if it is known, has not.
     """
-    columns = dict(zip(reading.names, reading.values, strict=True))
-    if lacking := ALWAYS.difference(columns):
-        raise SessionError(f"it has no {min(lacking)}")
+    if lacking := lacking_of(columns):
+        raise SessionError(lacking)
     for name, (_, key) in INDEX_COLUMNS.items():
         index, entries = columns.get(name, math.nan), getattr(description, key, None)
-        end = _MOST_READINGS if entries is None else len(entries)
-        if not (math.isnan(index) or (0 <= index < end and index == int(index))):
-            raise SessionError(f"{name} is {index:g}" + ("" if entries is None else f", not 0 to {end - 1}"))
-    return columns
+        if math.isnan(index):
+            continue
+        if not (0 <= index < _MOST_READINGS and index == int(index)):
+            raise SessionError(f"{name} is {index:g}")
+        if entries is not None and index >= len(entries):
+            raise SessionError(f"{name} is {index:g}, not 0 to {len(entries) - 1}")
 
 
 class Received:
@@ -160,7 +163,7 @@ class Received:
         `stamp` is the message's, ns; the description, if there is one, is that of the readings so far. A SessionError
         says that it can be none of them, or is numbered or timed in a way that cannot be.
         """
-        columns = require_reading(reading)
+        columns = dict(zip(reading.names, reading.values, strict=True))
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
         if not (math.isnan(index) or (0 <= index < _MOST_READINGS and index == int(index))):
             raise SessionError(f"{READING_INDEX} is {index:g}")
@@ -175,11 +178,11 @@ class Received:
         # where simulated time begins at the same moment in both, two readings of one time differ
         there = self._readings.get(stamp, reading)
         is_same = tuple(there.names) == tuple(reading.names)
-        if is_other or not (is_same and np.array_equal(there.values, reading.values, equal_nan=True)):
+        begins = is_other or not (is_same and np.array_equal(there.values, reading.values, equal_nan=True))
+        _require_reading(columns, None if begins else description)
+        if begins:
             forgotten = len(self)
             self.forget()
-        else:
-            require_reading(reading, description)
         self._origin = origin
         self._readings[stamp] = reading
         if not math.isnan(index):
