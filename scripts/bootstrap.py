@@ -4,7 +4,8 @@
 
     python3 scripts/bootstrap.py demo [OPTIONS]     install, then `mtcal demo`
     python3 scripts/bootstrap.py test [OPTIONS]     install with the tests' tools, then pytest, which runs
-                                                    ruff and mypy, too; in three processes (-n 0: in this one)
+                                                    ruff and mypy, too; in three processes (-n 0: in this one);
+                                                    --long: the tests that take seconds, too
     python3 scripts/bootstrap.py install            install only; the command is then .venv/bin/mtcal
 
 Everything goes into the checkout's folder .venv; the system's Python is not touched, root is not needed. Where a ROS 2
@@ -69,7 +70,8 @@ def main() -> None:
     if action == "demo":
         hand_over(environment, ["mtcal", "demo", *arguments])
     elif action == "test":
-        hand_over(environment, ["python", "-m", "pytest", *AT_ONCE, *(arguments or WHOLE)], ROOT)
+        of_all_rooms = WHOLE if set(arguments) <= {"--long"} else ()
+        hand_over(environment, ["python", "-m", "pytest", *AT_ONCE, *of_all_rooms, *arguments], ROOT)
     else:
         say(f"the command is {environment / 'bin' / 'mtcal'}")
 

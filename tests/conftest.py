@@ -107,10 +107,26 @@ _FIRST = (
 )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The long modules first, the others in their order."""
+def pytest_configure(config: pytest.Config) -> None:
+    """What was named is run whole, the long tests too; processes learn it by the option."""
+    everything = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if not hasattr(config, "workerinput") and (not everything or config.option.keyword or config.option.markexpr):
+        config.option.long = True
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The long modules first, the others in their order; without the long tests where they were not asked for."""
     place = {Path(__file__).parent / name: number for number, name in enumerate(_FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
+    if not config.option.long:
+        config.hook.pytest_deselected(items=[item for item in items if _is_long(item)])
+        items[:] = [item for item in items if not _is_long(item)]
+
+
+def _is_long(item: pytest.Item) -> bool:
+    """Whether a test takes seconds: by its mark, `long(but=...)` for all but some of its parameters."""
+    mark = item.get_closest_marker("long")
+    return mark is not None and not any(item.name.endswith(f"[{one}]") for one in mark.kwargs.get("but", ()))
 
 
 def pytest_collection_finish() -> None:
@@ -121,6 +137,7 @@ def pytest_collection_finish() -> None:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
     parser.addoption("--runs", type=int, default=10, help="simulated measurements of a statistical test (default 10)")
+    parser.addoption("--long", action="store_true", help="the long tests of all rooms, too")
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,7 @@ def of_exx(fitted: FittedSessions, tolerance: float, **said: Any) -> Verdict:
     return one(judged(fitted, {"EXX": tolerance}, **said))
 
 
+@pytest.mark.long
 def test_range_of_independent_values(reproducible: None, runs: Callable[..., Session]) -> None:
     """Two ends 10 µm apart and what is between them out of the way: their difference is normal with 0.5 sqrt(2) µm."""
     fitted = fit_sessions(runs(np.tile([0.0, 5e-6, 5e-6, 5e-6, 10e-6], 4)))
@@ -72,6 +73,7 @@ def test_range_of_independent_values(reproducible: None, runs: Callable[..., Ses
         assert found.u == pytest.approx(U * np.sqrt(2.0), rel=0.15)
 
 
+@pytest.mark.long
 def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[..., Session]) -> None:
     """Five equal values: the true range scatters about theirs as ranges of five do about their median.
 
@@ -169,6 +171,7 @@ def test_nothing_is_decided_without_a_budget(fitted: FittedSessions) -> None:
         assert found.decision != "pass"
 
 
+@pytest.mark.long
 def test_nothing_is_decided_by_a_model_that_the_readings_contradict(reproducible: None) -> None:
     """A backlash that the model lacks; with it in the model the same tolerances are kept and missed."""
     session = simulate(
@@ -192,6 +195,7 @@ def test_a_reversal_that_is_read_directly_is_part_of_the_result(reproducible: No
     assert [verdict.decision for verdict in found.each] == ["pass", "pass", "fail"]
 
 
+@pytest.mark.long
 def test_what_is_suspicious_is_said(runs: Callable[..., Session]) -> None:
     assert any("all 20 readings are 0" in words for words in judged(fit_sessions(runs()), {"EXX": 1.0}).suspicious)
     assert not judged(fit_sessions(runs(np.random.default_rng(2).normal(0.0, 1e-6, 20))), {"EXX": 1.0}).suspicious
@@ -243,6 +247,7 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     assert [v.decision for v in found.each] == ["undecided", "undecided", "pass", "not determined"]
 
 
+@pytest.mark.long
 def test_one_number_has_one_uncertainty(reproducible: None) -> None:
     """M of ISO 230-2 is the range of EXX."""
     fitted = fit_sessions(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=5)).session)

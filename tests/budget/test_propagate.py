@@ -254,6 +254,7 @@ def test_a_range_is_as_uncertain_whichever_end_is_the_larger(
     assert min(u[0]) > 0.3e-6
 
 
+@pytest.mark.long
 def test_what_the_runs_scatter_is_counted_once(
     runs: Callable[..., Session], contributor: Callable[..., Contributor]
 ) -> None:
@@ -319,6 +320,7 @@ def test_of_two_sessions_one_instrument(
     assert exx(budget, 2) == pytest.approx(2.0 * X, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_axis_average_line_knows_how_sure_the_stations_are() -> None:
     """Where the stations are stated to be is a line of the budget, once, and in the draws as well."""
     own = fit_sessions(simulate(SimulationSpec(plan=RotaryPlan(), seed=1)).session)

@@ -99,6 +99,7 @@ def test_the_paper_keeps_the_rules_of_pdf_a_3(paper: pypdf.PdfReader) -> None:
     assert fonts > 3 and images >= 2
 
 
+@pytest.mark.long
 def test_what_people_wrote_cannot_become_part_of_a_page_or_of_xml(tmp_path: Path) -> None:
     own = stated()
     own = own.model_copy(
@@ -129,6 +130,7 @@ def test_a_german_certificate_is_german(tmp_path: Path) -> None:
     assert "Calibration certificate" not in page
 
 
+@pytest.mark.long
 def test_a_laboratory_has_a_template_and_a_logo_of_its_own(tmp_path: Path) -> None:
     layout = tmp_path / "layout.html"
     layout.write_text('{% extends "certificate.html" %}{% block signatures %}<p>Our own end</p>{% endblock %}')

@@ -239,6 +239,7 @@ def test_what_the_schema_needs_is_never_invented(key: str) -> None:
         dcc_text(complete(), own, words("en"))
 
 
+@pytest.mark.long
 def test_the_command_writes_it_and_says_what_is_missing(made: Made, tmp_path: Path, verb: Verb) -> None:
     file = tmp_path / "out" / "certificate.xml"
     told = verb("report", made.session, "--certificate", LABORATORY, "--certificate", ORDER, "-o", file)

@@ -21,6 +21,7 @@ SESSION = str(DATA / "tracking_2d")
 PICTURES = ("measured_predicted.png", "residuals.png", "residual_map.png", "setups.png")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["tracking_2d", "rotary_axis", "probing_cross"])
 def test_words_tables_pictures_and_readings(method: str, tmp_path: Path, verb: Verb) -> None:
     out = verb("compare", DATA / method, "--output", tmp_path / "new").out
@@ -56,6 +57,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     return str(folder / "before"), str(folder / "after")
 
 
+@pytest.mark.long
 def test_an_effect_in_the_model_takes_its_part_out_of_the_difference(pair: tuple[str, str], verb: Verb) -> None:
     found = []
     for more in ([], ["--effect", "backlash_y"]):
@@ -65,6 +67,7 @@ def test_an_effect_in_the_model_takes_its_part_out_of_the_difference(pair: tuple
     assert corrected < 0.5 * raw and found[1]["agree"]
 
 
+@pytest.mark.long
 def test_the_history_of_one_is_taken_and_the_other_named(pair: tuple[str, str], verb: Verb) -> None:
     assert "no model was tried yet" in verb.refused("compare-maps", *pair, "--from-history")
     verb("improve", pair[0])

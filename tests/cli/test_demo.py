@@ -76,6 +76,7 @@ def test_every_method_hides_something() -> None:
         assert _hidden(method, 5, "none") is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", _PLANS)
 def test_the_smallest_size_is_found(method: str) -> None:
     for name, (smallest, _) in _HIDDEN[method].items():

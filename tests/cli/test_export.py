@@ -40,6 +40,7 @@ def test_people_see_before_and_after(tmp_path: Path, verb: Verb) -> None:
     assert len(set(reasons)) == len(reasons)
 
 
+@pytest.mark.long
 def test_effects_of_the_history(backlash: Path, tmp_path: Path, verb: Verb) -> None:
     session, folder = shutil.copytree(backlash, tmp_path / "session"), tmp_path / "tables"
     call = ["export", str(session), "--format", "json", "-o", str(folder), "--from-history"]

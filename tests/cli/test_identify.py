@@ -138,6 +138,7 @@ def test_the_model_of_the_history(verb, backlash, tmp_path):
     verb("identify", session, "--from-history", "--effect", "scale", status=2)
 
 
+@pytest.mark.long
 def test_people_read_the_verdict_first(original: Path, verb: Verb) -> None:
     out = verb("diagnose", original).out
     assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."

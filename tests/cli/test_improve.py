@@ -31,6 +31,7 @@ def cube(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     yield folder
 
 
+@pytest.mark.long
 def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, verb: Verb) -> None:
     shown = verb("improve", cube)
     assert shown.out.startswith("Added backlash_y: the residual falls from")
@@ -192,6 +193,7 @@ def test_what_is_not_there_cannot_be_kept(hidden, verb, word, message):
     assert message in verb.refused("identify", hidden, "--keep", word)
 
 
+@pytest.mark.long
 def test_the_history_keeps_what_was_put_back_and_is_used(hidden, verb, tmp_path):
     improve = ["improve", str(hidden), "-o", str(tmp_path / "improve")]
     verb(*improve, "--keep", "90", "--effect", "backlash_y")
@@ -229,6 +231,7 @@ def test_tables_and_pictures_say_what_they_were_made_from(hidden, verb, tmp_path
     assert "# machine: VMC 850" in (folder / "compensation.csv").read_text()
 
 
+@pytest.mark.long
 def test_the_history_keeps_an_effect_of_the_users_own_by_its_formula(tmp_path, verb):
     session, file = tmp_path / "session", tmp_path / "mine.yaml"
     assert run(["simulate", "--preset", "tracking_2d", "--seed", "3", str(session)]) == 0

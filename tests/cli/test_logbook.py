@@ -52,6 +52,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_growing_lost_motion_is_found_with_its_size_and_when_it_began(
     measured: Path, verb: Verb, tmp_path: Path
 ) -> None:
@@ -94,6 +95,7 @@ def test_the_last_entry_before_the_measurement_counts(months: Path, verb: Verb) 
     assert "the logbook has no entry before" in verb.refused("check", book, months / "1")
 
 
+@pytest.mark.long
 def test_a_session_and_a_result_document_do_as_well(months: Path, verb: Verb, tmp_path: Path) -> None:
     verb("identify", months / "1", "-o", tmp_path / "out")
     for earlier in (months / "1", tmp_path / "out" / "result.json", tmp_path / "out"):
@@ -155,6 +157,7 @@ def test_what_does_not_go_together_is_refused(measurements: Path, tmp_path: Path
     assert "no session" in verb.refused("fleet", tmp_path / "book", tmp_path)
 
 
+@pytest.mark.long
 def test_a_history_gives_model_and_effects(months: Path, verb: Verb, tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("before", "after")]
     for seed, folder in enumerate(folders):

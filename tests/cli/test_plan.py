@@ -19,6 +19,7 @@ PROCEDURES = sorted((ROOT / "config" / "procedures").glob("*.yaml"))
 OF_MAPS = [file for file in PROCEDURES if not file.stem.startswith("pointer_")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", OF_MAPS, ids=lambda file: file.stem)
 def test_every_procedure_can_be_foretold(file: Path) -> None:
     procedure = read_procedure(file)

@@ -84,6 +84,7 @@ def test_compare_for_programs(sessions: list[str], verb: Verb) -> None:
     assert sum(squares) == pytest.approx(whole, rel=0.02)
 
 
+@pytest.mark.long
 def test_compare_draws_and_writes_every_session(sessions: list[str], tmp_path: Path, verb: Verb) -> None:
     verb("compare", *sessions, "-o", tmp_path, "--against", "time")
     assert (tmp_path / "setups.png").read_bytes().startswith(b"\x89PNG")

@@ -33,6 +33,7 @@ def tables(axis: str, nodes: np.ndarray, value: np.ndarray, **half: float) -> Ax
     return AxisTables(Chain.parse("w-X-b-Y-Z-t"), (table,), {}, backlash, (), "none", "none", "free")
 
 
+@pytest.mark.long
 def test_it_corrects_as_the_files_are_read_back(tmp_path: Path) -> None:
     """Both types of file, more positions than it holds, a backlash without a table, and beyond the tables' ends."""
     nodes = np.linspace(0.02, 0.38, 1001)
@@ -64,6 +65,7 @@ def test_it_corrects_as_the_files_are_read_back(tmp_path: Path) -> None:
     assert np.abs(1e-3 * (motor - places) + expected).max() < 1e-9
 
 
+@pytest.mark.long
 def test_what_the_remarks_warn_of(tmp_path: Path) -> None:
     """It takes no more lines, none after a remark, none of a second section; and no BACKLASH beside a file."""
     rows = [f"{i} {i - 0.01:.3f} {i - 0.01:.3f}\n" for i in range(linuxcnc.MOST_LINES)]

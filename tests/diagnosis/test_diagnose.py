@@ -128,6 +128,7 @@ def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, am
     assert 0.7 < after < 1.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("angle", "seed"), [("EBX", 52), ("EAZ", 52)])
 def test_one_angular_error_larger_than_the_others_is_no_lost_motion(angle: str, seed: int) -> None:
     # In a diagonal an axis moves one way: what comes from its angles is then much like a reversal.
@@ -135,6 +136,7 @@ def test_one_angular_error_larger_than_the_others_is_no_lost_motion(angle: str, 
     assert (found.verdict, found.accepted) == ("adequate", ())
 
 
+@pytest.mark.long
 def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     hidden = FlawSpec(id="backlash_y", amplitude=3e-6)
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=77, effects=(hidden,))).session

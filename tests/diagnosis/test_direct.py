@@ -27,6 +27,7 @@ from .. import plates
 from ..told import keys
 
 
+@pytest.mark.long
 def test_scale_then_different_scales_and_squareness(many: Any) -> None:
     both = 0
     some = many.part(0.4)
@@ -43,6 +44,7 @@ def test_scale_then_different_scales_and_squareness(many: Any) -> None:
     assert some.count - both <= some.at_most(0.05)
 
 
+@pytest.mark.long
 def test_one_scale_only(many: Any) -> None:
     some = many.part(0.3)
     found = [diagnose(plates.plate(seed, holes=150, scales=(4e-5, 4e-5))[0]).accepted for seed in range(some.count)]
@@ -56,12 +58,14 @@ def test_plates_in_which_nothing_is_missing(given: dict[str, float], many: Any) 
     assert sum(verdict not in ("adequate", "outliers") for verdict in verdicts) <= some.at_most(0.05)
 
 
+@pytest.mark.long
 def test_rows_that_scatter_together_are_no_effect(many: Any) -> None:
     some = many.part(0.3)
     every = [plates.plate(seed, rows=True, row_scatter=3e-6)[0] for seed in range(some.count)]
     assert sum(bool(diagnose(session).accepted) for session in every) <= some.at_most(0.05)
 
 
+@pytest.mark.long
 def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing() -> None:
     """Poses that were read three times deviate by 20 µm each, of which a scale explains a tenth of the squares."""
     found = diagnose(plates.plate(1, holes=150, repeats=3, drilled=20e-6, scales=(4e-5, 4e-5), tails=None)[0])
@@ -75,6 +79,7 @@ def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(
     assert (half.verdict, half.accepted) == ("missing_effect", ("scale",))
 
 
+@pytest.mark.long
 def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None:
     """Holes that were read once each and scatter by far more than was declared."""
     found = diagnose(plates.plate(2, holes=150, declared=2e-7, tails=None)[0])
@@ -120,6 +125,7 @@ def test_far_holes_beside_each_other_are_something_else() -> None:
     assert found.gross_errors == ()
 
 
+@pytest.mark.long
 def test_axis_with_backlash_and_an_error_of_no_simple_shape() -> None:
     for seed in range(3):
         session = plates.axis(seed, backlash=2e-6, wander=2e-6, scale=2e-5, between=2e-7)
@@ -128,12 +134,14 @@ def test_axis_with_backlash_and_an_error_of_no_simple_shape() -> None:
         assert {"EXX", "backlash_x"} <= set(found.accepted) <= {"scale", "EXX", "backlash_x"}
 
 
+@pytest.mark.long
 def test_passes_that_differ_are_no_drift(many: Any) -> None:
     some = many.part(0.5)
     every = [plates.axis(seed, between=5e-7, terms=("EXX",)) for seed in range(some.count)]
     assert sum(bool(diagnose(session).accepted) for session in every) <= some.at_most(0.05)
 
 
+@pytest.mark.long
 def test_passes_of_an_axis_that_slips_are_what_is_said_first() -> None:
     session = plates.axis(5, between=2e-5, terms=("EXX",))
     found = diagnose(session)
@@ -148,6 +156,7 @@ def test_passes_of_an_axis_that_slips_are_what_is_said_first() -> None:
     assert keys(next_step(still, Advice())) == ["next.nothing"]
 
 
+@pytest.mark.long
 def test_play_of_the_other_sign_is_named_with_its_sign() -> None:
     """Directions of approach that were recorded the wrong way round."""
     spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=5, effects=(FlawSpec(id="lost_motion_x", amplitude=2e-6),))
@@ -328,6 +337,7 @@ def places_of_arm(joints: np.ndarray) -> np.ndarray:
     return np.column_stack([reach * np.cos(turn), reach * np.sin(turn), height])
 
 
+@pytest.mark.long
 def test_what_explains_a_small_part_of_a_pattern_is_not_what_is_missing() -> None:
     """The errors of a jointed arm are those of its joints, of which error motions of three axes take up a little."""
     rng = np.random.default_rng(4)

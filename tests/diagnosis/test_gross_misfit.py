@@ -66,6 +66,7 @@ def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) ->
     assert 0.3 < shift / uncertainty[1] < 2.0
 
 
+@pytest.mark.long
 def test_the_words_say_by_how_much_setups_differ(bent: Diagnosis) -> None:
     changes, advice = consequences(bent), what_to_measure(bent)
     text = " ".join(verdict_words(bent, changes, advice))
@@ -77,6 +78,7 @@ def test_the_words_say_by_how_much_setups_differ(bent: Diagnosis) -> None:
     assert not document["accepted"]
 
 
+@pytest.mark.long
 def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
     found = diagnose(each_place_apart(3))
     assert found.fits[0].reduced_chi_square > 2
@@ -122,6 +124,7 @@ def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
     assert found.verdict == "adequate"
 
 
+@pytest.mark.long
 def test_a_gross_error_that_was_lost_in_what_an_effect_leaves_is_set_aside_once_it_is_known() -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=0, effects=(FlawSpec(id="backlash_y", size=2e-6),))
     session = simulate(spec).session
@@ -132,6 +135,7 @@ def test_a_gross_error_that_was_lost_in_what_an_effect_leaves_is_set_aside_once_
     assert [outlier.row for outlier in found.gross_errors] == [30]
 
 
+@pytest.mark.long
 def test_an_effect_that_gross_errors_hid_while_it_hid_them_is_found_with_them() -> None:
     """Errors of all sizes from 15 to 100 standard uncertainties leave no gap after what a reversal leaves."""
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=2, effects=(FlawSpec(id="reversal_ECY", amplitude=3e-6),))

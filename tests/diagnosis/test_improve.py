@@ -96,6 +96,7 @@ def test_the_model_with_what_was_found_is_looked_at_anew(
     assert shares == sorted(shares) and shares[-1] == 1.0
 
 
+@pytest.mark.long
 def test_what_is_left_can_be_compared_between_models() -> None:
     """A model that lacks something underestimates what it leaves: how far its map is off the last one is counted."""
     effects = (FlawSpec(id="probe_pretravel", amplitude=4e-6),)
@@ -113,6 +114,7 @@ def test_nothing_is_added_where_nothing_is_missing() -> None:
     assert [s.change for s in done.steps] == [""]
 
 
+@pytest.mark.long
 def test_nothing_is_added_for_what_no_effect_explains() -> None:
     effects = (FlawSpec(id="unlisted_cubic_path", amplitude=1.5e-5),)
     done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=6, effects=effects)).session)
@@ -120,6 +122,7 @@ def test_nothing_is_added_for_what_no_effect_explains() -> None:
     assert [s.change for s in done.steps] == [""]
 
 
+@pytest.mark.long
 def test_outliers_are_set_aside_first() -> None:
     spec = SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02))
     simulated = simulate(spec)
@@ -131,6 +134,7 @@ def test_outliers_are_set_aside_first() -> None:
     assert done.steps[1].result.rms_residual < 0.5 * done.steps[0].result.rms_residual
 
 
+@pytest.mark.long
 def test_effects_that_are_there_already_stay() -> None:
     effects = (FlawSpec(id="backlash_y", size=1.5e-6), FlawSpec(id="backlash_x", size=1.2e-6))
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session
@@ -178,6 +182,7 @@ def test_progress_rises_to_one() -> None:
     assert shares[-1] == 1.0
 
 
+@pytest.mark.long
 def test_two_effects_found_are_told_with_both_in_the_model() -> None:
     effects = (FlawSpec(id="backlash_y", amplitude=1.5e-6), FlawSpec(id="backlash_x", amplitude=1.2e-6))
     found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects))
@@ -196,6 +201,7 @@ def test_two_effects_found_are_told_with_both_in_the_model() -> None:
     assert first.explained + second.explained == pytest.approx(taken)
 
 
+@pytest.mark.long
 def test_a_share_in_the_readings_is_told_only_where_the_data_tell_it() -> None:
     found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     changes = consequences(found)

@@ -276,6 +276,7 @@ def commands(block: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for line in block.splitlines()]
 
 
+@pytest.mark.long
 def test_the_formula_is_found_added_and_fits(
     blocks: Blocks, measured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

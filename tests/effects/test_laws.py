@@ -153,6 +153,7 @@ def test_of_a_long_axis_long_waves_without_a_gap_and_the_usual_leads(span: float
     assert set(np.round(beyond, 6)) == {round(f, 6) for f in usual if long[-1] + 0.2 / span < f <= 250.0}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lead", [5.08e-3, 7.2e-3, 4.6e-3])
 def test_a_wave_of_an_unusual_lead_is_among_those_that_are_tried(lead: float) -> None:
     """A screw in inches, a motor's steps: of so many waves that not all can be tried, the readings show which."""
@@ -170,6 +171,7 @@ def test_a_wave_of_an_unusual_lead_is_among_those_that_are_tried(lead: float) ->
     assert "pitch_periodic_x" in diagnose(session.with_readings(readings)).accepted
 
 
+@pytest.mark.long
 def test_a_wave_that_changes_its_sign_with_the_direction_is_told_from_one_that_does_not() -> None:
     """A motor's steps against friction, also at the shortest wave that places resolve; another wave is the map's."""
     plan = DirectPlan(count=101, repeats=2, terms=("EXX",))

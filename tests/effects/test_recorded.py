@@ -54,12 +54,14 @@ def test_what_is_heavy_follows_late() -> None:
     assert diagnose(session).accepted == ("follows_late_spindle_x",)
 
 
+@pytest.mark.long
 def test_it_is_named_where_it_acts_and_only_there() -> None:
     assert diagnose(axis(grown(SPINDLE), 1)).accepted == ("follows_spindle_x",)
     for seed in range(4):
         assert diagnose(axis(np.zeros(len(TIME)), seed)).accepted == ()
 
 
+@pytest.mark.long
 def test_an_axis_without_a_sensor_may_follow_the_air() -> None:
     session = axis(grown(SPINDLE), 1, "temperature_air")
     assert diagnose(session).accepted == ("follows_temperature_air_x",)

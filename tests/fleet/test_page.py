@@ -25,6 +25,7 @@ def fleet(entries: Callable[..., tuple[Entry, ...]]) -> Machines:
     return judged((*jumped, *lacking), diagnoses, problems=[("mill/x", "no <column>")])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("language", "head", "told"), [
     ("en", "Fleet of machines", r"EXX jumped by [12]\.\d+ ± "),
     ("de", "Maschinenpark", r"EXX ist zwischen .* um [12],\d+ ± "),

@@ -45,6 +45,7 @@ def test_sessions_are_found_in_and_below_folders(measurements: Path, tmp_path: P
         places([tmp_path / "nowhere"])
 
 
+@pytest.mark.long
 def test_each_is_identified_as_it_is_alone_with_dask_and_without(measurements: Path, tmp_path: Path) -> None:
     """In the variant of the model that is wanted; the one that is broken has its line."""
     pytest.importorskip("distributed")
@@ -149,6 +150,7 @@ def solved(seed: int) -> bytes:
     return np.linalg.lstsq(rng.standard_normal((300, 80)), rng.standard_normal(300), rcond=None)[0].tobytes()
 
 
+@pytest.mark.long
 def test_on_dask_it_is_the_same_bit_for_bit(scheduler: str) -> None:
     there = {one.item: one.found for one in each(solved, range(12), scheduler=scheduler)}
     assert there == {one.item: one.found for one in each(solved, range(12), workers=0)}
@@ -171,6 +173,7 @@ def test_a_killed_worker_loses_nothing(scheduler: str, tmp_path: Path) -> None:
     assert (tmp_path / "died").exists() and found == {number: number * number for number in range(20)}
 
 
+@pytest.mark.long
 def test_what_kills_every_process_is_told_and_nothing_beside_it_is_lost(scheduler: str, tmp_path: Path) -> None:
     work = partial(dying, folder=tmp_path, always=True)
     found = {one.item: one for one in each(work, range(12), scheduler=scheduler)}
@@ -178,6 +181,7 @@ def test_what_kills_every_process_is_told_and_nothing_beside_it_is_lost(schedule
     assert {number: one.found for number, one in found.items()} == {n: n * n for n in range(12) if n != 5}
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_processes_that_are_gone_for_good_are_replaced() -> None:
     """Dask's own watch gives up where one dies while it is being started: without the replacement this would wait."""

@@ -30,6 +30,7 @@ def same(printed: str, shown: str) -> None:
         assert abs(float(found) - float(expected)) < 1.01 * last, f"{found} instead of {expected}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES)
 def test_every_block_prints_what_the_page_says(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -77,6 +77,7 @@ def test_what_is_not_determined_is_flagged(fit: mtcal.Fit) -> None:
     assert np.isnan(fit.error_at([9.0, 0.0, 0.0])[0]).all()
 
 
+@pytest.mark.long
 def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal.Fit) -> None:
     bend = mtcal.Effect(
         "bend", "q * x * (0.4 - x) * dir_x", enters="x", coefficients={"q": {"unit": "1/m", "low": -1e-3, "high": 1e-3}}
@@ -177,6 +178,7 @@ def run() -> mtcal.Fit:
     return mtcal.identify(mtcal.simulate("iso230_2", repeats=2, seed=3))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("call", "message"), WRONG)
 def test_what_cannot_be_is_named(run: mtcal.Fit, call: Callable[[Any], object], message: str) -> None:
     with pytest.raises(mtcal.CalibrationError) as caught:
@@ -184,6 +186,7 @@ def test_what_cannot_be_is_named(run: mtcal.Fit, call: Callable[[Any], object], 
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_numbers_of_numpy_are_numbers(run: mtcal.Fit) -> None:
     assert run.compare_map(mtcal.identify(mtcal.simulate("iso230_2", repeats=2, seed=4)), seed=np.int64(3)).count
 

@@ -187,10 +187,12 @@ def simulated(*effects: str, seed: int = 1) -> Session:
     return simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=seed, effects=flaws)).session
 
 
+@pytest.mark.long
 def test_nothing_is_missing_in_a_sound_machine() -> None:
     assert diagnose(simulated()).verdict == "adequate"
 
 
+@pytest.mark.long
 def test_three_causes_are_named_together() -> None:
     causes = ("backlash_y", "reversal_spike_x", "pitch_periodic_x")
     assert set(causes) <= set(diagnose(simulated(*causes)).accepted)
@@ -217,11 +219,13 @@ def test_an_angle_of_one_lever_arm_is_the_straightness_there() -> None:
     assert reasons(high)["EAX"] is None
 
 
+@pytest.mark.long
 def test_of_a_servo_mismatch_one_plane_does_not_tell_which_axis_is_late() -> None:
     accepted = diagnose(simulated("servo_mismatch_y")).accepted
     assert len({"servo_mismatch_x", "servo_mismatch_y"} & set(accepted)) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("repeats", [1, 2])
 def test_a_vibration_is_told_from_a_wave_of_the_screw(repeats: int) -> None:
     size, frequency = 0.4e-6, 0.37
@@ -238,6 +242,7 @@ def test_a_vibration_is_told_from_a_wave_of_the_screw(repeats: int) -> None:
         assert abs(np.hypot(s, c) - size) < 4.0 * max(u_s, u_c) < 2e-7
 
 
+@pytest.mark.long
 def test_a_run_of_one_reading_has_no_frequencies() -> None:
     plan = PRESETS["ball_bar"]
     session = simulate(SimulationSpec(plan=plan, seed=3, effects=(FlawSpec(id="backlash_x", amplitude=3e-6),))).session
@@ -246,6 +251,7 @@ def test_a_run_of_one_reading_has_no_frequencies() -> None:
     assert diagnose(session.with_readings(session.readings.select(kept))).accepted == ("backlash_x",)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", [(), ("backlash_x",)])
 def test_readings_that_a_filter_has_smoothed_have_no_other_cause(hidden: tuple[str, ...]) -> None:
     flaws = tuple(FlawSpec(id=name, amplitude=3e-6) for name in hidden)

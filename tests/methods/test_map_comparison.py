@@ -154,6 +154,7 @@ def test_maps_without_a_common_point_are_one_line() -> None:
         compare_fits(fitted_line(0.0), fitted_line(0.03), draws=10)
 
 
+@pytest.mark.long
 def test_the_verb_says_whether_two_measurements_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_comparison, "compare_fits", partial(compare_fits, draws=50))
     for name, seed in (("one", 1), ("two", 2)):

@@ -94,6 +94,7 @@ def test_it_is_identified_and_compared_as_the_others_are(tmp_path: Path) -> None
     assert motions.loc["C0Y", "value"] == pytest.approx(SQUARENESS, abs=4.0 * motions.loc["C0Y", "u"])
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("plugin")
 def test_nothing_is_found_where_nothing_is_missing_and_a_backlash_where_there_is_one(tmp_path: Path) -> None:
     sound = diagnose(read_session(circles(tmp_path / "sound")))

@@ -113,6 +113,7 @@ def test_commands_outside_the_travel_are_refused(bench, simulated_time):
     assert set(axes.states[-1].velocity) == {0.0}
 
 
+@pytest.mark.long
 def test_real_time_motion_keeps_the_limits_and_can_be_stopped(bench):
     # slow, so that even a busy machine stops it well before the end
     limits = {"axis_simulator": {"speed": 0.04, "acceleration": 0.5, "state_rate": 100.0}}

@@ -25,6 +25,7 @@ def mtcal(tmp_path, monkeypatch, capfd):
     return lambda *arguments: (run([str(word) for word in arguments]), capfd.readouterr())
 
 
+@pytest.mark.long
 def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path, mtcal, monkeypatch):
     monkeypatch.setattr(Figure, "get_layout_engine", lambda figure: None)  # the pictures of tests/plots are laid out
     status, said = mtcal("demo", "--seed", 3, "--json")
@@ -72,6 +73,7 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
     assert not (output / "bag").exists()
 
 
+@pytest.mark.long
 def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
     procedure, site = bench.write("small.yaml", PROCEDURE), bench.write("site.yaml", {**SITE, "noise": 3e-7})
     status, said = mtcal("run", procedure, "--site", site, "--until", "U=1.5um", "--json")
@@ -116,6 +118,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, monkeypatch, capfd, argumen
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_procedure_that_fails_keeps_what_was_measured(tmp_path, bench, mtcal):
     # the pointer's true direction is wrong by 0.5 degrees: the beam misses the retroreflector
     site = bench.write("site.yaml", {**SITE, "pointer": {"zero_offset": 0.009}})

@@ -69,6 +69,7 @@ def entries(status):
     return {entry.key: entry.value for entry in status.values}
 
 
+@pytest.mark.long
 def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(bench, folder, printed):
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
     feed(operator, open_measurement(folder))
@@ -130,6 +131,7 @@ def waves(bench, count):
     return {"estimator": {"effects_files": [bench.write("waves.yaml", {"effects": effects})]}}
 
 
+@pytest.mark.long
 def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
     # so many effects that one step takes longer than all that is asked of the node meanwhile
     graph = bench.graph(("estimator",), simulated_time=False, more=waves(bench, 500))
@@ -186,6 +188,7 @@ def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
     assert float(operator.outcome("estimator/compare", PATIENCE)["reduced_chi_square"]) < 1.5
 
 
+@pytest.mark.long
 def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_requests_are_answered(bench, folder):
     # more effects than there are, so that it is not done before it is cancelled
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False, more=waves(bench, 50)))

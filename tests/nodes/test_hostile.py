@@ -121,6 +121,7 @@ def a_large_message_costs_no_lasting_memory(operator, graph):
     assert operator.wait(lambda: resident() < before + 25.0, PATIENCE)  # MB: half of one
 
 
+@pytest.mark.long
 def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
     graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"))
     operator = bench.operator(graph)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 
@@ -60,6 +61,7 @@ def state(operator, node: str) -> str:
     return ask(operator, GetState, f"{node}/get_state", GetState.Request()).current_state.label
 
 
+@pytest.mark.long
 def test_a_node_is_set_by_hand(bench: Bench) -> None:
     graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"),
                         more={"estimator": BY_HAND})  # fmt: skip

@@ -28,6 +28,7 @@ def since_first(operator, displacement):
     return displacement - np.array([first[setup] for setup in setups])
 
 
+@pytest.mark.long
 def test_two_graphs_in_one_domain(bench, finish):
     other = {**SITE, "machine": {**SITE["machine"], "seed": 78}}
     first = bench.graph(namespace="cell_1")
@@ -41,6 +42,7 @@ def test_two_graphs_in_one_domain(bench, finish):
         assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, site)).max() < 1e-12
 
 
+@pytest.mark.long
 def test_real_time_gives_the_same_readings(bench, finish):
     procedure = copy.deepcopy(PROCEDURE)
     procedure["session"]["repeats"] = 1

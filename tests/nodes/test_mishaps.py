@@ -6,6 +6,7 @@ import re
 import signal
 
 import numpy as np
+import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
@@ -31,6 +32,7 @@ def check(operator):
     assert all(np.diff(table["time"]) > 0)
 
 
+@pytest.mark.long
 def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(bench):
     # a partner may take long to come back where others keep the machine busy
     graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": PATIENCE}})
@@ -52,6 +54,7 @@ def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(b
     assert operator.procedure.number("restarts") == 1  # the axes
 
 
+@pytest.mark.long
 def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
     graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": 2.0}})
     operator = bench.operator(graph)

@@ -88,6 +88,7 @@ def ready(operator: Client) -> Heard:
     return heard
 
 
+@pytest.mark.long
 def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, play) -> None:
     bag = tmp_path / "bag"
     session_to_bag(open_measurement(SESSION), bag, start=START)
@@ -165,6 +166,7 @@ def play_here(verb: Verb, monkeypatch: pytest.MonkeyPatch) -> Verb:
     return verb
 
 
+@pytest.mark.long
 def test_it_ends_by_itself_counts_and_says_that_nobody_listened(
     tmp_path: Path, play_here: Verb, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -86,6 +86,7 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
     return graph, bench.operator(graph)
 
 
+@pytest.mark.long
 def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
     exx = {"nodes": NODES, "values": [2e-6, -1e-6, 0.0, 3e-6, 4e-6], "interpolation": "linear"}
     ecc = {"nodes": [0.0, 2.0, 6.0], "values": [0.0, 1.2e-5, -4e-6], "interpolation": "linear"}
@@ -124,6 +125,7 @@ def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
     assert np.abs(difference).max() < 1e-8
 
 
+@pytest.mark.long
 def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
     graph, operator = start(bench, procedure(), site(), form=1.5e-3)
     finish(operator)
@@ -141,6 +143,7 @@ def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
     graph.check()
 
 
+@pytest.mark.long
 def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     points = cam(count=12, spheres=False)
     lobes = {"orders": [3], "weights": [1.0], "phases": [0.0]}
@@ -154,6 +157,7 @@ def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     np.testing.assert_allclose(session.readings.displacement.reshape(3, 12), expected, atol=1e-12)
 
 
+@pytest.mark.long
 def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish):
     content = procedure(cam(count=2, spheres=False)[:1], angles=(0.0, 0.5))
     content["motion"] = {"speed": {"x": 0.5, "y": 0.5, "z": 0.5, "c": 2.0}, "dwell": 0.1, "approach": 0.004}
@@ -166,6 +170,7 @@ def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish
     assert np.all(np.diff(session.readings.columns["time"]) > 0.2)
 
 
+@pytest.mark.long
 def test_a_run_whose_probe_dies_says_so_and_keeps_its_readings(bench, monkeypatch):
     graphs = []
 
@@ -265,6 +270,7 @@ def refused_in_front_of_nothing(operator):
         operator.call("instrument/capture", PATIENCE)
 
 
+@pytest.mark.long
 def test_a_probe_that_is_restarted_pairs_nothing_wrongly(bench):
     graph, operator = start(bench, procedure(), site())
     begin(operator)

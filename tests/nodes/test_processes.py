@@ -30,6 +30,7 @@ CONFIG = Path(__file__).parents[2] / "config"
 NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stops_in_the_middle_of_work(bench, number):
     more = {"procedure": {"patience": None}}  # whose default is looked at
@@ -169,6 +170,7 @@ def check_examples(operator):
         assert {key: parameter_value_to_python(value) for key, value in zip(wanted, found, strict=True)} == wanted
 
 
+@pytest.mark.long
 def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
     text = (CONFIG / "nodes.yaml").read_text()
     assert "    speed: 0.5 " in text

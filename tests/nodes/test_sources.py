@@ -160,6 +160,7 @@ def test_the_stream_follows_the_motion_without_gaps(source):
     assert np.abs(path - (0.35 + 0.1 * time * 1e-9)).max() < 5e-6
 
 
+@pytest.mark.long
 def test_the_streams_noise_has_the_declared_size(source):
     batches = []
     for tick in range(4000):

@@ -220,6 +220,7 @@ PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH",
 COLCON = shutil.which("colcon", path=PATH)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(COLCON is None, reason="colcon is not installed")
 @pytest.mark.parametrize("option", ["--merge-install", "--symlink-install"])
 def test_workspace(source: Path, tmp_path: Path, option: str) -> None:

@@ -24,6 +24,7 @@ def test_a_tilted_mirror_is_behind_table_1_of_the_step_diagonal(monkeypatch: pyt
     assert entry(study, "squareness of X-Y, conventional").ours == pytest.approx(4.4e-6, abs=2e-8)
 
 
+@pytest.mark.long
 def test_the_budget_and_the_map_of_the_open_loop_tracking_interferometer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study_tracking, "DRAWS", 80)
     study = study_tracking.study(lambda what, share: None)

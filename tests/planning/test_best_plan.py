@@ -77,6 +77,7 @@ def test_templates_stand_for_every_combination() -> None:
 _METHODS = ["tracking_2d", "tracking_3d", "rotary_axis_one_way", "probing_cross", "step_diagonal"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", _METHODS)
 def test_a_part_of_the_candidates_is_judged_as_its_own_fit(name: str) -> None:
     content = yaml.safe_load(procedure_file(name).read_text())
@@ -206,6 +207,7 @@ def test_the_procedure_as_it_stands_is_kept_unless_another_is_much_quicker(repea
     assert quickest(offered, candidates, 0.9 * u, lambda what, share: None).setups[:3] != (0, 1, 2)
 
 
+@pytest.mark.long
 def test_a_plan_has_readings_that_check_each_other() -> None:
     content = yaml.safe_load(procedure_file("tracking_3d").read_text())
     for axis in "xyz":

@@ -52,6 +52,7 @@ def test_three_diagonals_lack_the_fourth(simulated: Simulated, of_three: Dominan
     assert fourth.seconds < 0.3 * again.seconds
 
 
+@pytest.mark.long
 def test_four_diagonals_of_long_axes_lack_offset_runs(simulated: Simulated) -> None:
     found = _of(simulated("step_diagonal", plan=LONG))
     assert [remedy.kind for remedy in found.remedies] == ["offset"]
@@ -83,6 +84,7 @@ def test_proposed_runs_are_those_of_the_simulators_plan(simulated: Simulated) ->
             assert mine.displacement == pytest.approx(theirs.displacement, abs=2e-4)
 
 
+@pytest.mark.long
 def test_the_promise_of_the_fourth_diagonal_is_kept(of_three: Dominant) -> None:
     """The ratio of uncertainties that is promised is the ratio of errors of machines with such angular errors."""
     promised = of_three
@@ -105,6 +107,7 @@ def test_the_promise_of_the_fourth_diagonal_is_kept(of_three: Dominant) -> None:
     assert np.sqrt(square[1] / square[0]) == pytest.approx(fourth.uncertainty / promised.uncertainty, abs=0.2)
 
 
+@pytest.mark.long
 def test_time_is_told_from_angle_by_turning_forth_and_back(simulated: Simulated) -> None:
     one_way = simulated("rotary_axis_one_way", plan={"interval": 60.0})
     found = _of(one_way, drift=2e-9)
@@ -133,6 +136,7 @@ def test_where_readings_dominate_nothing_is_proposed(simulated: Simulated) -> No
     assert _of(simulated("step_diagonal"), angular=1e-8, drift=0.0).cause == "readings"
 
 
+@pytest.mark.long
 def test_sizes_that_are_not_assumed_are_taken_from_the_session(simulated: Simulated) -> None:
     size = Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=2e-5, squareness=3e-5)
     session = simulated("step_diagonal", 4, plan=LONG, machine=MachineSpec(random=size))

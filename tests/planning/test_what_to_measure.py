@@ -53,6 +53,7 @@ def separation(advice: Advice, *names: str) -> Separation:
     return next(s for s in advice.separations if set(names) <= set(s.effects))
 
 
+@pytest.mark.long
 def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Simulated) -> None:
     found, advice = look(simulated("tracking_2d", 5, FlawSpec(id="pointer_radial_error", amplitude=4e-6)))
     assert found.verdict == "missing_effect"
@@ -64,6 +65,7 @@ def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Sim
     assert advice.dominant is not None and advice.dominant == limits_of(found.chosen.sessions[0])
 
 
+@pytest.mark.long
 def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None:
     flaw = FlawSpec(id="dead_path", amplitude=2e-6)
     found, advice = look(simulated("step_diagonal", 5, flaw, plan={"blocks": 4}))
@@ -76,6 +78,7 @@ def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None
         assert (s.kind is None) == (not s.separates) or s.cosine_after < s.cosine_before
 
 
+@pytest.mark.long
 def test_backlash_that_one_direction_hides_shows_when_turning_back() -> None:
     """One-way runs of the table absorb the backlash of C; both ways show what was promised."""
     found, advice = one_way(5)
@@ -90,6 +93,7 @@ def test_backlash_that_one_direction_hides_shows_when_turning_back() -> None:
     assert "backlash_c" in diagnose(session).accepted
 
 
+@pytest.mark.long
 def test_a_promised_size_is_what_the_longer_measurement_detects(simulated: Simulated) -> None:
     """The dead path in a step diagonal: a larger swing of the temperature shows a smaller one."""
     session = simulated("step_diagonal_three_orders", 5, environment_swing=0.3)
@@ -101,6 +105,7 @@ def test_a_promised_size_is_what_the_longer_measurement_detects(simulated: Simul
     assert way.after < 0.5 * way.before
 
 
+@pytest.mark.long
 def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) -> None:
     """A time constant, which is an unknown of the model, and a number of harmonics, which is not."""
     from machine_tool_calibration.planning.what_to_measure import present_effects
@@ -130,6 +135,7 @@ def days() -> list[Session]:
     return [whole.with_readings(whole.readings.select(np.flatnonzero(mine))) for mine in (first, ~first)]
 
 
+@pytest.mark.long
 def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
     advice = what_to_measure(diagnose(FitRequest(days, LABELS)))
     assert advice.dominant is None, "what limits is said of one measurement"

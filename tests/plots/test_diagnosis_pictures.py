@@ -32,6 +32,7 @@ def improved(plan: str) -> Improvement:
     return improve(simulate(spec).session)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("plan", "shows_over"),
     [
@@ -62,6 +63,7 @@ def test_every_method_has_its_pictures(plan: str, shows_over: str) -> None:
     assert re.search(shows_over, over.get_xlabel())
 
 
+@pytest.mark.long
 def test_files(tmp_path: Path) -> None:
     done = improved("tracking_2d")
     picture, steps, residuals = save_improvement(done, tmp_path / "a" / "b")

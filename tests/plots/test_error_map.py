@@ -112,6 +112,7 @@ def test_points_at_random_are_joined_to_their_nominal_places():
     assert segments == 80
 
 
+@pytest.mark.long
 def test_files_of_a_session(tmp_path, volume):
     session, result = volume
     written = save(figures([session], result.document()), tmp_path)

@@ -64,6 +64,7 @@ def test_disc_says_that_c_is_not_seen():
     assert any("ECC is not determined" in panel.get_title() for panel in panels)
 
 
+@pytest.mark.long
 def test_file_is_written(pins, tmp_path):
     session, document = pins
     (file,) = save(figures([session], document), tmp_path)
@@ -74,6 +75,7 @@ def _session(**plan):
     return simulate(SimulationSpec.model_validate({"seed": 1, "plan": plan})).session
 
 
+@pytest.mark.long
 def test_rotary_axis(tmp_path: Path) -> None:
     axis = "A"
     session = _session(method="rotary_axis", axis=axis, hidden={"P": (1.0, 1.5)})
@@ -90,6 +92,7 @@ def test_rotary_axis(tmp_path: Path) -> None:
     assert sum(line.get_linestyle() == ":" for line in panels[0].lines) == 2  # the two lost angles
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "names"),
     [

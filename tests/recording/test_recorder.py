@@ -95,6 +95,7 @@ def samples_of(bag: BagReader, topic: str = "/instrument/displacement") -> np.nd
     return np.concatenate([decode(NUMBERS, message.data).data for message in bag.messages([topic])])
 
 
+@pytest.mark.long
 def test_ten_thousand_samples_a_second_of_a_graph_in_its_namespace(tmp_path: Path, ros_domain: int) -> None:
     folder = tmp_path / "bag"
     with publisher("/cell_2", 500, 500, 20) as sender:
@@ -134,6 +135,7 @@ def test_chosen_topics_of_any_quality(tmp_path: Path, ros_domain: int) -> None:
     assert bag.topics["/loose"].messages > 0
 
 
+@pytest.mark.long
 def test_simulated_time(tmp_path: Path, ros_domain: int) -> None:
     folder = tmp_path / "bag"
     with recorder(f"folder:={folder}", "use_sim_time:=true") as process, publisher("/", 100, 100, 1, "clock") as sender:
@@ -152,6 +154,7 @@ def test_simulated_time(tmp_path: Path, ros_domain: int) -> None:
     assert sum(time == (100 + k) * 10**9 for k, time in enumerate(states)) > 90
 
 
+@pytest.mark.long
 def test_a_kill_costs_nothing_once_a_pause_was_as_long_as_the_period(tmp_path: Path, ros_domain: int) -> None:
     """What has come is in the file without another message, and without an end; the period is the writer's."""
     folder, batches = tmp_path / "bag", 200
@@ -197,6 +200,7 @@ def command(folder: Path, *words: str):
     return program("-m", "machine_tool_calibration", "record", "-o", str(folder), "--json", *words)
 
 
+@pytest.mark.long
 def test_the_command_records_until_it_is_stopped(tmp_path: Path, ros_domain: int) -> None:
     folder = tmp_path / "b 'ag"
     with publisher("/", 200, 400, 5) as sender, command(folder) as process:

@@ -114,6 +114,7 @@ def test_every_standard_type_has_a_definition_that_others_parse() -> None:
     assert definition_of("no_msgs/msg/Such").text == ""
 
 
+@pytest.mark.long
 def test_split_by_size_and_by_time(small_bag: Callable[..., Path]) -> None:
     by_size = small_bag("size", messages=3000, chunk_bytes=8192, split_bytes=200_000)
     sizes = [file.stat().st_size for file in by_size.glob("*.mcap")]

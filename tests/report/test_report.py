@@ -264,6 +264,7 @@ def test_effects_in_the_model_stand_there_with_their_sizes() -> None:
     assert re.fullmatch(r"b = \d\.\d+ ± 0\.\d+ µm", size)
 
 
+@pytest.mark.long
 def test_paper_has_its_pages_and_texts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, language: str = "de"):
     file = tmp_path / "folder" / "report.pdf"
     monkeypatch.setattr("machine_tool_calibration.report.page.sections", lambda *_: content("tracking_2d", language))
@@ -307,6 +308,7 @@ def shown_in(name: str, language: str) -> tuple[list[str], list[str]]:
     return shown, drawn
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANS | MORE)
 def test_a_further_language_is_one_file(name):
     """Nothing but names is left in Latin letters where the catalogue has none: sentences, tables, pictures."""

@@ -125,6 +125,7 @@ def told(session: Session) -> Iterator[str]:
     yield " ".join(verdict_words(diagnose(session), {}, Advice()))
 
 
+@pytest.mark.long
 def test_a_run_by_iso_230_2_has_one_scatter_before_and_after_its_reversal_is_in_the_model() -> None:
     session = simulated("iso230_2", "backlash_x")
     size = f"{1e6 * identify(session).error_map.content['scatter']['one_direction']:.3f} µm"

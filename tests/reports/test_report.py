@@ -51,6 +51,7 @@ def test_readings_that_were_set_aside_are_told_whatever_the_verdict(brief: bool)
         assert key in [key for own in words for key in keys(own)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "verdict", "says"),
     [

@@ -245,6 +245,7 @@ def test_a_step_within_a_run_loses_no_reading(after: int) -> None:
     assert found_in(session.with_readings(replace(readings, displacement=displacement))) == []
 
 
+@pytest.mark.long
 def test_what_reproduces_is_no_gross_error() -> None:
     """Both readings of one place are off by as much."""
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3)).session

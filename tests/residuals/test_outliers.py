@@ -31,6 +31,7 @@ def chipped(seed: int, rows: list[int]) -> Session:
     return session.with_readings(replace(readings, displacement=readings.displacement + change))
 
 
+@pytest.mark.long
 def test_sound_neighbours_of_a_chip_are_put_back() -> None:
     """Several readings of the same point pull its place towards the chip, and seem wrong themselves."""
     wrong = blamed = 0
@@ -86,6 +87,7 @@ def test_three_at_a_place_that_agree_by_chance_with_three_others() -> None:
     assert_right(found_of("tracking_3d", 3007, errors | others), errors | others)
 
 
+@pytest.mark.long
 def test_sums_of_residuals_have_the_stated_uncertainty() -> None:
     """The residuals of a fit are smaller than the noise: the stated uncertainty allows for what the model took up."""
     clean = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3, noise_factor=0.0))

@@ -93,6 +93,7 @@ def test_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
 TEXT = st.text(st.characters(exclude_characters="\r", codec="utf-8"), max_size=5)
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(st.floats(allow_nan=False), TEXT), min_size=1, max_size=8))
 def test_any_row(rows: list[tuple[float, str]]) -> None:
     frame = pd.DataFrame(rows, columns=["number", "text"])

@@ -104,6 +104,7 @@ def test_a_diagnosis_says_it(sound: Session) -> None:
     assert len(document["suspicious"]) == 1 and "off the travel" in document["suspicious"][0]
 
 
+@pytest.mark.long
 def test_every_verb_that_fits_says_it(capsys: pytest.CaptureFixture[str], tmp_path: Path, sound: Session) -> None:
     write_session(moved(sound), tmp_path / "s")
     write_session(sound, tmp_path / "t")
@@ -223,6 +224,7 @@ def too_long(session: Session) -> object:
     return machine.model_copy(update={"travel": {**machine.travel, "x": (0.0, 400.0)}})
 
 
+@pytest.mark.long
 def test_repeats_that_were_averaged_are_counted_as_they_were_measured() -> None:
     plan = PRESETS["drilled_plate"].model_copy(update={"repeats": 3, "count": 9})
     session = simulate(SimulationSpec(plan=plan, seed=3)).session

@@ -56,6 +56,7 @@ def statement(value: Array, u: float, label: str, name: str = "EYX", draws: int 
     )
 
 
+@pytest.mark.long
 def test_a_machine_that_did_not_change_is_not_called_changed() -> None:
     for seed in range(11, 23, 2):
         found = check(measured(seed)[1], measured(seed + 1)[1])
@@ -215,6 +216,7 @@ def test_a_steady_machine_raises_no_alarm_and_its_spread_is_learned(size: float)
     assert np.median([one.spread for one in found]) == pytest.approx(np.sqrt(max(size**2 - 1.0, 0.0)), abs=0.3)
 
 
+@pytest.mark.long
 def test_thirty_quiet_machines_raise_no_alarm_however_often_one_looks() -> None:
     for seed in range(30):
         rng = np.random.default_rng(1000 + seed)

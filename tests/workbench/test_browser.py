@@ -102,6 +102,7 @@ FIVE_WIDE_PLOTS = """() => {
 }"""
 
 
+@pytest.mark.long
 def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int) -> None:
     asked: list[str] = []
     faults: list[str] = []
@@ -224,6 +225,7 @@ def beside_a_graph(page: "playwright.Page", hidden: Path, domain: int) -> None:
     assert taken["displacement"].tolist() == given["displacement"].tolist()
 
 
+@pytest.mark.long
 def test_no_page_is_wider_than_a_phone(address: str, browser: "playwright.Browser") -> None:
     page = browser.new_page(viewport={"width": 390, "height": 844})
     page.set_default_timeout(WAIT)

@@ -42,6 +42,7 @@ def shown(kind: Any, state: State) -> Any:
     return page
 
 
+@pytest.mark.long
 def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, document: Document) -> None:
     page = shown(ImprovePage, state)
     assert list(page._before.options) == ["1: first model"]
@@ -139,6 +140,7 @@ def test_the_tables_of_a_measurement_are_tables(state: State, document: Document
     assert "how the model fits, Result says" in page._words.object
 
 
+@pytest.mark.long
 def test_a_page_is_put_in_its_place_at_once(hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch) -> None:
     window = _Window([hidden], (), None, Feed(), False)
     for root in window.roots:

@@ -78,6 +78,7 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
     assert wide[1][0] < wide[0][0] and wide[1][1] > 2 * wide[0][1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["tracking_2d", "rotary_axis", "step_diagonal", "probing"])
 def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> None:
     measurement = simulate(method, effects={"linear_drift": 1e-9} if method != "probing" else {}, seed=3)
@@ -90,6 +91,7 @@ def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> N
     assert min(one.typical for one in then) < 0.9 * now.typical
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_draws")
 def test_what_a_budget_adds_stays_whatever_is_measured_next() -> None:
     measurement, every = simulate("rotary_axis", seed=3), []

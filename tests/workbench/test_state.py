@@ -133,6 +133,7 @@ def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> No
     np.testing.assert_allclose(readings.data["residual"], before, atol=1e-9)
 
 
+@pytest.mark.long
 def test_readings_are_selected_by_their_rows(hidden: Path, struck: Path) -> None:
     readings = Readings(opened(hidden))
     readings.refresh()
@@ -191,6 +192,7 @@ def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
     assert measurements_in(hidden / "nothing") == []
 
 
+@pytest.mark.long
 def test_what_a_search_set_aside_is_shown_and_put_back_for_good(struck: Path) -> None:
     state = opened(struck)
     assert state.model.aside == {20, 90, 150} == state.model.found.keys() and "3 readings set aside" in state.headline
@@ -205,6 +207,7 @@ def test_what_a_search_set_aside_is_shown_and_put_back_for_good(struck: Path) ->
     assert state.model.kept == frozenset()
 
 
+@pytest.mark.long
 def test_what_does_not_belong_to_the_rest_is_judged_beside_the_effects(hidden: Path) -> None:
     """As `mtcal identify` does: a reading that only the lack of an effect made stand out is put back."""
     state = opened(hidden)
@@ -239,6 +242,7 @@ def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) ->
     assert len(read_history(history_path(hidden)).models) == 2, "the same formula is the same model"
 
 
+@pytest.mark.long
 def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> None:
     state = opened(hidden, struck)
     pickle.dumps(state.model)  # it goes from process to process
@@ -266,6 +270,7 @@ def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> Non
     np.testing.assert_array_equal(again.model.each[1].fit.residuals, state.model.each[1].fit.residuals)
 
 
+@pytest.mark.long
 def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None:
     with pytest.raises(CalibrationError, match="no diagnosis"):
         state.improved()

@@ -164,6 +164,7 @@ def test_beside_a_graph_no_measurement_is_needed(monkeypatch: pytest.MonkeyPatch
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_calculation_is_ended_and_its_errors_come_back(hidden: Path) -> None:
     warm_up()
     state = State()

@@ -74,6 +74,7 @@ def test_what_an_effect_would_leave_of_the_residuals_is_what_a_fit_with_it_leave
     assert found.rms_after == pytest.approx(after, rel=0.05)
 
 
+@pytest.mark.long
 def test_of_a_structure_what_an_effect_does_is_that_effect() -> None:
     """Otherwise the effect would have only what the structure leaves, and the structure is in no model."""
     own = np.random.default_rng(4).normal(size=(2, len(session(None).readings)))
@@ -148,6 +149,7 @@ def test_a_size_that_is_seldom_stands_for_no_look_alike_that_is_as_likely() -> N
     assert look.accepted == ("linear_drift",)
 
 
+@pytest.mark.long
 def test_detectable_sizes_are_found_that_often(many: Any) -> None:
     """An effect of the stated smallest size is found in about 80 of 100 sessions, one of half the size seldom."""
     size = looked(session(None)).of("backlash_y").detectable["b"]

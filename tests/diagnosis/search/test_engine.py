@@ -48,6 +48,7 @@ def with_columns(session: Session, displacement: np.ndarray | None = None, witho
     return session.with_readings(replace(readings, columns=columns, displacement=moved))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "probing_cross"])
 def test_setups_that_do_not_reproduce_are_no_effect(plan: str) -> None:
     found = diagnose(simulated(plan, 21, spread=1.0))
@@ -56,6 +57,7 @@ def test_setups_that_do_not_reproduce_are_no_effect(plan: str) -> None:
     assert max(size.probability for size in found.fits[-1].marginal.sizes) > 0.5
 
 
+@pytest.mark.long
 def test_slopes_and_bows_of_four_mountings_are_seldom_the_drift_of_a_station() -> None:
     """Few setups, of which a drift of its own for each explains as much: several of these had been taken for one."""
     found = [
@@ -80,6 +82,7 @@ def test_an_effect_is_found_beside_setups_that_do_not_reproduce(plan: str, effec
         assert abs(size.value - true) < 4.0 * size.standard_uncertainty
 
 
+@pytest.mark.long
 def test_angular_errors_of_a_step_diagonal_do_not_take_up_what_is_missing() -> None:
     """How large they are is weighed with and without it: drawn from the readings before, they held all of a drift."""
     found = diagnose(simulated(SIX_BLOCKS, 31, [FlawSpec(id="linear_drift", amplitude=2e-6)]))
@@ -88,6 +91,7 @@ def test_angular_errors_of_a_step_diagonal_do_not_take_up_what_is_missing() -> N
     assert any({named, "linear_drift"} <= set(group) for group in found.search.groups)
 
 
+@pytest.mark.long
 def test_angular_errors_of_a_step_diagonal_are_no_effect() -> None:
     machine = MachineSpec(random=Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=1e-5, squareness=3e-5))
     found = diagnose(simulate(SimulationSpec(plan=SIX_BLOCKS, seed=31, machine=machine)).session)
@@ -123,6 +127,7 @@ def test_a_screw_that_grows_while_it_warms_up_is_named_without_a_thermometer() -
     assert found.search.of("screw_growth_x").sizes[0].value == pytest.approx(4e-5, rel=0.3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("quick", "accepted"), [(1.0, {"warmup_x"}), (0.4, {"warmup_x", "linear_drift"})])
 def test_the_slow_part_of_a_warm_up_is_no_drift_beside_it_unless_it_is_the_larger(
     quick: float, accepted: set[str]
@@ -146,12 +151,14 @@ def test_a_reversal_of_the_other_sign_is_the_same_effect() -> None:
     assert size.value == pytest.approx(-3e-6, abs=4.0 * size.standard_uncertainty)
 
 
+@pytest.mark.long
 def test_a_reversal_that_no_machine_has_is_not_accepted() -> None:
     found = diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=-4e-4)]))
     assert "backlash_y" not in found.accepted
     assert not found.search.of("backlash_y").plausible
 
 
+@pytest.mark.long
 def test_lost_motion_at_one_place_is_no_backlash_beside_it() -> None:
     """A screw that is worn around one place: one effect describes all of it."""
     session = simulated("iso230_2", 27, [FlawSpec(id="backlash_x", size=1e-6)])
@@ -164,6 +171,7 @@ def test_lost_motion_at_one_place_is_no_backlash_beside_it() -> None:
     assert all({"backlash_x", "lost_motion_x"} - set(members) for members, _ in found.search.sets)
 
 
+@pytest.mark.long
 def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     session = simulated("tracking_2d", 25)
     time = session.readings.columns["time"]
@@ -176,6 +184,7 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     assert waves[0].share == max(s.share for s in found.search.structure)
 
 
+@pytest.mark.long
 def test_a_wave_smaller_than_the_noise_that_hardly_moves_the_map_is_good_enough() -> None:
     """Of 0.9 standard uncertainties: sure to be there, and it moves no point by a third of its U."""
     session = simulated("tracking_2d", 25)
@@ -188,6 +197,7 @@ def test_a_wave_smaller_than_the_noise_that_hardly_moves_the_map_is_good_enough(
     assert map_change(still, moved) < 2.0 * map_rms(moved.uncertainty) / 3.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("plan", "size"), [("tracking_2d", 1e-4), ("iso230_2", 2e-5)])
 def test_a_count_that_is_lost_towards_the_end_of_a_setup_is_a_step(plan: str, size: float) -> None:
     """All its readings are off from then on: no warm-up, drift or lost motion, of which each describes some of it."""
@@ -234,6 +244,7 @@ def test_without_times_there_is_no_warm_up() -> None:
     assert not in_seconds(found)
 
 
+@pytest.mark.long
 def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every angle read once, one after the other: a station that drifts all the while is an error of the axis.
 

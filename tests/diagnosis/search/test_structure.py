@@ -118,6 +118,7 @@ def test_products_of_coordinates_are_those_of_any_two_axes_along_every_direction
                 assert np.abs(columns - error * along).max(axis=1).min() < 1e-9
 
 
+@pytest.mark.long
 def test_a_slow_wave_of_which_the_model_takes_up_most_is_found() -> None:
     """It comes and goes in fifteen minutes; each diagonal, of six, counts from its own zero."""
     silent = plan("step_diagonal", 31)
@@ -130,6 +131,7 @@ def test_a_slow_wave_of_which_the_model_takes_up_most_is_found() -> None:
     assert any("wave" in shape and 870.0 < float(shape.split()[-2]) < 930.0 for shape in shapes)
 
 
+@pytest.mark.long
 def test_a_step_is_looked_for_where_it_explains_most() -> None:
     """Between the ones that are tried in any case, in a run of which the model takes up most of it."""
     silent = plan("probing_cross", 8)
@@ -141,6 +143,7 @@ def test_a_step_is_looked_for_where_it_explains_most() -> None:
     assert diagnose(session).verdict == "unexplained"
 
 
+@pytest.mark.long
 def test_a_part_that_was_bumped_is_a_shift_along_the_axes() -> None:
     """Of a plate that is read along x and y: neither a step of the readings nor an error motion of the axes."""
     silent = plan("grid_plate", 9)
@@ -190,6 +193,7 @@ def test_at_one_place_no_place_differs() -> None:
     assert diagnose(session).left[0].covariate == "target"
 
 
+@pytest.mark.long
 def test_a_zone_that_is_displaced_is_none_of_the_axes() -> None:
     """A tile of a plate: the yaw of X comes near to it."""
     silent = plan("grid_plate", 4)

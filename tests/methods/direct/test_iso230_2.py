@@ -151,6 +151,7 @@ def test_other_measurements_are_no_such_run(direct: SimpleNamespace, kind: str) 
     assert "iso230_2" not in identify(direct.measured(kind, repeats=2).session).error_map.content
 
 
+@pytest.mark.long
 def test_uncertainty_of_the_figures_is_that_of_repeated_tests() -> None:
     kept: dict[str, list[float]] = {}
     stated: dict[str, list[float]] = {}

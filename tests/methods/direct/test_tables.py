@@ -238,6 +238,7 @@ def test_places_in_millimetres() -> None:
         identify(plates.with_columns(session, x=1e3 * columns["x"], y=1e3 * columns["y"]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "millimetres"), (1e6, "micrometres")])
 def test_deviations_in_another_unit(factor: float, unit: str) -> None:
     for seed in range(6):

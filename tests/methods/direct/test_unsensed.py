@@ -225,6 +225,7 @@ def off(error: np.ndarray, axes: list[int]) -> np.ndarray:
     return (left - motions @ np.linalg.lstsq(motions, left, rcond=None)[0]).reshape(-1, len(axes))
 
 
+@pytest.mark.long
 def test_the_map_of_free_places_is_their_mean_and_its_uncertainty_holds(direct: SimpleNamespace) -> None:
     """The plain mean of two readings is off by sigma times the root of a half; U contains 95 % of what it is off by."""
     inside, rms = [], []

@@ -34,6 +34,7 @@ def _fitted(
     return identify_sessions(FitRequest(sessions, list(names)))
 
 
+@pytest.mark.long
 def test_sessions_of_one_machine_agree(several: SimpleNamespace, many: Any) -> None:
     count = many.part(0.4).count
     found = [_fitted(several, seed, ("tracker", "run", "grid")).agreement for seed in range(count)]
@@ -259,6 +260,7 @@ def _normalised(result: JointResult, simulated: Simulated) -> float:
     return float(np.mean((error[good] / uncertainty[good]) ** 2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("one", "other"),
     [("probing", "space"), ("probing", "plane"), ("plane", "space"), ("probing", "rotary"), ("space", "rotary")],

@@ -33,6 +33,7 @@ def _errors(result: JointResult, simulated: Simulated) -> np.ndarray:
     return left
 
 
+@pytest.mark.long
 def test_normalised_errors_and_chi_square(several: SimpleNamespace, many: Any) -> None:
     normalised, chi = [], []
     some = many.part(0.4)
@@ -46,6 +47,7 @@ def test_normalised_errors_and_chi_square(several: SimpleNamespace, many: Any) -
     assert np.mean(chi) == pytest.approx(1.0, abs=some.off(0.007))
 
 
+@pytest.mark.long
 def test_together_is_better_than_alone(several: SimpleNamespace) -> None:
     tracker, run = several.measured("tracker", 1), several.measured("run", 1)
     alone = identify(tracker.session, model="rigid_body")

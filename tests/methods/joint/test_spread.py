@@ -53,6 +53,7 @@ def _errors(result: JointResult, simulated: Simulated) -> tuple[np.ndarray, np.n
     return error, variance
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("other", "angular", "expected", "off"),
     [
@@ -132,6 +133,7 @@ def test_a_grid_plate_contradicts_step_diagonals_in_positioning(several: SimpleN
     assert motion in {found[0].motion, *found[0].alike}
 
 
+@pytest.mark.long
 def test_in_straightness_it_cannot_and_says_so(several: SimpleNamespace) -> None:
     """A mirror that turns looks like straightness: the difference is taken for angles of 4 um over the step's arm."""
     result = _with_a_bow(several, "EYX")
@@ -189,6 +191,7 @@ def test_noise_does_not_bend() -> None:
     assert np.sqrt(np.mean(curved)) == pytest.approx(1e-4, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_plate_where_only_step_diagonals_tell_the_straightness(several: SimpleNamespace, many: Any) -> None:
     """Step diagonals of 50 mm, a grid plate of 80 mm: its points lie between the nodes of EZX and EZY."""
     size = {"positioning": 1.5e-6, "straightness": 1.5e-6, "angular": 0.0, "squareness": 3e-5}

@@ -111,6 +111,7 @@ def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: S
     assert np.sqrt(np.mean(np.square(one)) / np.mean(np.square(four))) == pytest.approx(2.0, rel=some.off(0.035))
 
 
+@pytest.mark.long
 def test_readings_of_other_places(rotary: SimpleNamespace) -> None:
     session: Session = rotary.measured(1, angles=tuple(np.radians(np.arange(0.0, 360.0, 40.0)))).session
     shuffled = np.random.default_rng(5).permutation(session.readings.displacement)

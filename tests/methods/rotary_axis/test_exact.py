@@ -57,6 +57,7 @@ def test_published_motions_are_in_the_stated_datum(rotary: SimpleNamespace) -> N
         assert one["U"] == pytest.approx(2.0 * np.hypot(u[motion.argmax()], u[motion.argmin()]), rel=0.3)
 
 
+@pytest.mark.long
 def test_axis_average_line_within_what_the_stations_allow(rotary: SimpleNamespace, many: Any) -> None:
     ratios = []
     more = many.part(0.8)
@@ -102,6 +103,7 @@ def test_a_station_stated_wrong_says_nothing_of_where_the_axis_stands(rotary: Si
     assert wrong.error_map.content["EXC"] == pytest.approx(sound.error_map.content["EXC"], abs=5e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("about", "degrees"), [("X", 45.0), ("Y", 90.0)])
 def test_a_table_that_stands_tilted_in_the_machine(rotary: SimpleNamespace, about: str, degrees: float) -> None:
     simulated = rotary.measured(4, noise_factor=0.0, station_uncertainty=1e-4)

@@ -154,6 +154,7 @@ def _judged(rotary: SimpleNamespace, runs: int, **plan: object) -> tuple[np.ndar
     return np.array(errors), np.array(stated), np.array(chi)
 
 
+@pytest.mark.long
 def test_normalised_errors_over_many_runs(rotary: SimpleNamespace, many: Any) -> None:
     errors, stated, chi = _judged(rotary, many.count)
     assert np.mean((errors / stated) ** 2) == pytest.approx(1.0, abs=many.off(0.055))
@@ -163,6 +164,7 @@ def test_normalised_errors_over_many_runs(rotary: SimpleNamespace, many: Any) ->
     assert (ratio < 1.0 + many.off(0.1)).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", [{"repeats": 3}, {"both_ways": True, "sign": -1}, {"missing": 0.05}])
 def test_variants_over_some_runs(rotary: SimpleNamespace, plan: dict[str, object], many: Any) -> None:
     some = many.part(0.4)
@@ -178,6 +180,7 @@ def test_repeats_lower_the_uncertainty_by_their_root(reproducible: None, rotary:
         assert np.mean(one[f"{name}_u"]) / np.mean(four[f"{name}_u"]) == pytest.approx(2.0, rel=0.02)
 
 
+@pytest.mark.long
 def test_quarter_turn_is_weak_but_honest(rotary: SimpleNamespace, many: Any) -> None:
     some = many.part(0.4)
     errors, stated, _ = _judged(rotary, some.count, angles=tuple(np.linspace(0.0, np.pi / 2, 10)))
@@ -186,6 +189,7 @@ def test_quarter_turn_is_weak_but_honest(rotary: SimpleNamespace, many: Any) -> 
     assert np.mean(stated[:, 3]) > 3 * np.mean(full["EAC_u"])
 
 
+@pytest.mark.long
 def test_small_turn_does_not_claim_more_than_it_knows(rotary: SimpleNamespace, many: Any) -> None:
     some = many.part(0.4)
     errors, stated, _ = _judged(rotary, some.count, angles=tuple(np.linspace(0.0, np.pi / 6, 10)))

@@ -39,6 +39,7 @@ def _exchanged(values: np.ndarray, one: object, other: object) -> np.ndarray:
     return np.where(values == one, other, np.where(values == other, one, values))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "message"),
     [

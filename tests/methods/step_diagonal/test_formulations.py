@@ -153,6 +153,7 @@ def test_the_papers_formulas_use_neither(exact):
         assert np.isfinite(found.profiles[name].value).all()
 
 
+@pytest.mark.long
 def test_they_tell_angular_errors_from_straightness(exact, truth):
     """The same number of readings, within a tenth: three diagonals, four, and four with offset runs."""
     plans = {

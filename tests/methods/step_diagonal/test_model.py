@@ -29,6 +29,7 @@ from machine_tool_calibration.simulation import FlawSpec, Simulated, TableSpec
 EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"
 
 
+@pytest.mark.long
 def test_example_session():
     result = identify(read_session(EXAMPLE))
     document = json.loads(json.dumps(result.document(), allow_nan=False))
@@ -152,6 +153,7 @@ def test_a_lost_last_reading_of_a_diagonal_leaves_a_gap_only_there(exact, truth)
     assert names & {entry.name for entry in result.not_determined} == {"EXZ(0.12)", "EYZ(0.12)"}
 
 
+@pytest.mark.long
 def test_dead_path_shows_and_the_effect_mends_it(exact):
     simulated = exact(10, noise=1.0, repeats=2, angular=2e-6, effects=[FlawSpec(id="dead_path", amplitude=4e-6)])
     before = identify(simulated.session)

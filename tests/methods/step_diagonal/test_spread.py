@@ -97,6 +97,7 @@ def _by_hand(model):
     return weights / weights.sum(), np.array(means), np.array(covariances), np.array(priors)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("angular", "seed"), [(3e-6, 5), (1.5e-5, 4)])
 def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed, reproducible):
     plan = {"blocks": 4, "step": (0.05, 0.04, 0.03), "corner": (-0.1, 0.2, 0.0)}
@@ -120,6 +121,7 @@ def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed, reprodu
     assert found.size**2 == pytest.approx(np.trace(expected) / sum(len(p) for p in found.priors), rel=2e-3)
 
 
+@pytest.mark.long
 def test_a_declaration_that_is_too_small_does_not_turn_scatter_into_angles(exact):
     session = exact(5, noise=1.0, angular=3e-6, repeats=2).session
     declared = session.description.standard_uncertainty

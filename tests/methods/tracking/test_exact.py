@@ -76,6 +76,7 @@ print(out.hexdigest())
 """
 
 
+@pytest.mark.long
 def test_processes_and_threads(capsys):
     """This process has one thread for linear algebra; another has two, and calculates twice."""
     exec(SCRIPT, {})
