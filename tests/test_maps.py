@@ -164,6 +164,7 @@ def test_a_foreign_cloud_is_refused() -> None:
         error_map_from_points(np.eye(3)[[0, 1]] * 0.1, np.zeros((2, 3)), np.zeros((2, 3)))
 
 
+@pytest.mark.long
 def test_needs_no_ros() -> None:
     code = "import sys; import machine_tool_calibration.maps; assert not {'rclpy', 'sensor_msgs'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=900)

@@ -90,6 +90,7 @@ def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[
     assert of_exx(fitted, U, budget=budget).decision == "undecided"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [2, 6, 10])
 def test_noise_alone_fails_nobody(reproducible: None, seed: int) -> None:
     """Points that are known worse than the tolerance, of which the largest comes out at twice what it is."""
@@ -104,6 +105,7 @@ def test_noise_alone_fails_nobody(reproducible: None, seed: int) -> None:
     assert found.decision == "undecided"
 
 
+@pytest.mark.long
 def test_squareness_by_the_normal_distribution() -> None:
     """On either side of zero."""
     fitted = fit_sessions(simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session)
@@ -130,6 +132,7 @@ def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., 
     assert found.decision == "pass"
 
 
+@pytest.mark.long
 def test_volumetric_error(reproducible: None) -> None:
     """The largest of many lengths: what was measured neither conforms to itself nor fails."""
     fitted = fit_sessions(simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session)
@@ -141,6 +144,7 @@ def test_volumetric_error(reproducible: None) -> None:
     assert one(judged(fitted, {"volumetric": 2 * float(length.max())})).decision == "pass"
 
 
+@pytest.mark.long
 def test_budget_takes_the_place_of_the_identification(
     runs: Callable[..., Session], contributor: Callable[..., Contributor]
 ) -> None:
@@ -162,6 +166,7 @@ def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Calla
     assert stats.norm.cdf(2.0) - stats.t.cdf(2.0, 2.0) > 0.05
 
 
+@pytest.mark.long
 def test_nothing_is_decided_without_a_budget(fitted: FittedSessions) -> None:
     """What the readings show lacks instrument and temperature: neither a tolerance of a metre passes, nor any fails."""
     for rule in RULES:
@@ -211,6 +216,7 @@ def test_what_the_readings_show_is_not_undercut(
     assert one(conformity(fitted, {"EXX": 1e-5}, budget=budget)).u > 0.1e-6
 
 
+@pytest.mark.long
 def test_not_determined_never_passes(fitted: FittedSessions) -> None:
     found = judged(fitted, {"EXX": 1.0, "C0Y": 1.0, "EAX": 1.0, "A": 1.0}, rule="simple")
     assert [verdict.decision for verdict in found.each][1:3] == ["not determined", "not determined"]

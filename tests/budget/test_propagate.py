@@ -126,6 +126,7 @@ def test_rms_over_a_quantity(fitted: FittedSessions, contributor: Callable[..., 
     assert found.u_identification == pytest.approx(np.sqrt(np.mean(stated**2)))
 
 
+@pytest.mark.long
 def test_monte_carlo_agrees(fitted: FittedSessions, contributor: Callable[..., Contributor]) -> None:
     """Within four standard deviations of its own chance; the interval of a rectangular distribution ends before 2 u."""
     lines = [contributor("length", "never", distribution="rectangular"), contributor("reading", "run", 1e-8)]
@@ -167,6 +168,7 @@ def test_repeats_in_closed_form_are_as_one_by_one(
         assert closed.u[members] == pytest.approx(steps.u[members], rel=1e-5, nan_ok=True)
 
 
+@pytest.mark.long
 def test_draws_and_bounds(monkeypatch: pytest.MonkeyPatch, contributor: Callable[..., Contributor]) -> None:
     """Where places are too many to go through, draws are near the exact sum, and a bound is above it."""
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session
@@ -184,6 +186,7 @@ def test_draws_and_bounds(monkeypatch: pytest.MonkeyPatch, contributor: Callable
     assert np.nanmin(bound.u[members] / exact.u[members]) > 1.0
 
 
+@pytest.mark.long
 def test_what_is_known_besides_the_readings() -> None:
     """Readings and what is expected of angular errors together make the declared uncertainty, each by itself found by
     shifting it."""

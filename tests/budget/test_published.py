@@ -113,6 +113,7 @@ def test_a_table_with_its_targets_stations_and_axis() -> None:
     np.testing.assert_array_equal(numbers(own, own.joint).value, published.value)
 
 
+@pytest.mark.long
 def test_a_complete_result_has_uncertainties_and_covariances_that_belong_together() -> None:
     """What instrument and temperature add is in both."""
     session = fitted("rotary").joint.assembly.models[0].observations.session

@@ -61,6 +61,7 @@ def test_the_statements_stand_above_the_signatures_and_all_that_was_stated_somew
     assert complete().result.provenance.sha256 in whole.replace(" ", "")
 
 
+@pytest.mark.long
 def test_a_program_reads_the_result_and_the_data_from_the_paper(paper: pypdf.PdfReader, made: Made, verb: Verb) -> None:
     held = {name: content for name, (content,) in paper.attachments.items()}
     assert json.loads(held["result.json"]) == verb("identify", made.session, "--json").document
@@ -122,6 +123,7 @@ def test_what_people_wrote_cannot_become_part_of_a_page_or_of_xml(tmp_path: Path
     assert number.text == HOSTILE.replace("\x1b", "\ufffd").replace("\uffff", "\ufffd")
 
 
+@pytest.mark.long
 def test_a_german_certificate_is_german(tmp_path: Path) -> None:
     page = written(stated(), tmp_path, "de")
     for text in ("Kalibrierschein", "Seriennummer", "01.03.2026", "Insgesamt: erfüllt.", "Ende des Kalibrierscheins",

@@ -3,6 +3,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.reports.effect_page import effects_table
 
@@ -38,6 +40,7 @@ def test_json_holds_every_effect(verb: Verb) -> None:
     assert by_id["warmup_y"]["nonlinear"][0]["name"] == "tau"
 
 
+@pytest.mark.long
 def test_one_effect_in_full_says_what_each_method_leaves(verb: Verb) -> None:
     out = verb("effects", "mirror_misalignment", "backlash_y").out
     first, second = out.split("backlash_y: backlash of Y")
@@ -59,6 +62,7 @@ def test_effects_that_differ_by_the_axis_share_a_line() -> None:
     assert formulas["backlash_x"] == catalogue()["backlash_x"].formula
 
 
+@pytest.mark.long
 def test_effects_of_the_users_own_are_listed_and_drawn(tmp_path: Path, verb: Verb) -> None:
     file = tmp_path / "own.yaml"
     file.write_text(OWN)

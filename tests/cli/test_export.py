@@ -211,6 +211,7 @@ def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, verb: Verb
     assert run(["history", str(improved), "--use", "2"]) == 0
 
 
+@pytest.mark.long
 def test_conformity_and_budget_are_those_of_the_model_in_use(improved: Path, verb: Verb) -> None:
     asked = ["conformity", str(improved), "--tolerance", "volumetric=100um", "--json"]
     shown = verb(*asked)

@@ -120,6 +120,7 @@ def test_several_sessions_have_no_features(tmp_path: Path) -> None:
         mtcal.identify([CROSS, measured_again(CROSS, tmp_path / "again")]).features()
 
 
+@pytest.mark.long
 def test_a_missing_effect_is_said_and_the_model_in_use_has_it(verb: Verb, tmp_path: Path) -> None:
     mtcal.simulate("probing_pins", effects={"probe_pretravel": 3e-6}, seed=2).save(tmp_path / "pins")
     asked = ["features", str(tmp_path / "pins"), "--frame", "pin1,pin11", "--json"]

@@ -102,6 +102,7 @@ def test_missing_readings_are_listed_by_row(verb, tmp_path):
     assert [entry["row"] for entry in document["rejected"]] == [3, 7]
 
 
+@pytest.mark.long
 def test_output_folder(verb, tmp_path):
     told = verb("identify", DATA / "tracking_2d", "-o", tmp_path / "new" / "folder")
     names = {path.name for path in (tmp_path / "new" / "folder").iterdir()}
@@ -111,6 +112,7 @@ def test_output_folder(verb, tmp_path):
     assert document == verb("identify", DATA / "tracking_2d", "--json").document
 
 
+@pytest.mark.long
 def test_pictures_in_the_present_folder(verb, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     verb("identify", DATA / "step_diagonal", "--plot")
@@ -177,6 +179,7 @@ def positioning(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_report_is_written(positioning: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "tolerances.yaml").write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 20um}\n")
     file, figures = tmp_path / "out" / "report.html", tmp_path / "figures"

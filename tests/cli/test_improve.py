@@ -213,6 +213,7 @@ def test_the_history_keeps_what_was_put_back_and_is_used(hidden, verb, tmp_path)
     assert compared["provenance"]["effects"] == ["backlash_y"]
 
 
+@pytest.mark.long
 def test_tables_and_pictures_say_what_they_were_made_from(hidden, verb, tmp_path):
     words = ["identify", str(hidden), "--csv", str(tmp_path / "map.csv"), "-o", str(tmp_path)]
     assert run([*words, "--model", "rigid_body"]) == 0

@@ -17,6 +17,7 @@ from machine_tool_calibration.trends.logbook import Logbook
 from ..told import Verb
 
 
+@pytest.mark.long
 def test_sessions_are_entered_once_and_listed(tmp_path: Path, verb: Verb) -> None:
     session, book = tmp_path / "january", tmp_path / "mill.logbook"
     write_session(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=2)).session, session)
@@ -84,6 +85,7 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_last_entry_before_the_measurement_counts(months: Path, verb: Verb) -> None:
     book = months / "mill.logbook"
     verb("logbook", "add", book, months / "1", months / "3")
@@ -118,6 +120,7 @@ def measurements(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_fleet_is_entered_judged_and_written_and_nothing_twice(
     measurements: Path, tmp_path: Path, verb: Verb, monkeypatch: pytest.MonkeyPatch
 ) -> None:

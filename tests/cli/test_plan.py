@@ -43,6 +43,7 @@ def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
     assert line.rstrip().endswith(f"{2 * len(rows)} of {3 * len(rows)}")
 
 
+@pytest.mark.long
 def test_a_plan_in_words_and_as_json(verb: Verb) -> None:
     text = verb("plan", "probing_cross").out
     assert "workpiece form" in text and "absolute length" in text and "probe_pretravel" in text

@@ -37,6 +37,7 @@ def look(plan: str, seed: int, *flaws: FlawSpec, **changes: object) -> Diagnosis
     return diagnosed(SimulationSpec(plan=chosen, seed=seed, effects=flaws, **changes))  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d", "rotary_axis", "probing_cross"])
 def test_nothing_missing_is_called_adequate(plan: str) -> None:
     assert look(plan, 101).verdict == "adequate"
@@ -150,6 +151,7 @@ def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     assert after < 0.5 * before
 
 
+@pytest.mark.long
 def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() -> None:
     found = look("tracking_2d", 12, FlawSpec(id="unlisted_cubic_path", amplitude=1.5e-5))
     assert found.verdict == "unexplained"
@@ -157,6 +159,7 @@ def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() ->
     assert found.search.structure[0].covariate in ("path", "path within the setup", "displacement")
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
     spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=9, effects=(FlawSpec(id="backlash_x", amplitude=1e-6),))
     one, two = (diagnose(simulate(spec).session) for _ in range(2))
@@ -164,6 +167,7 @@ def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
     assert [r.p_value for r in one.ranked] == [r.p_value for r in two.ranked]
 
 
+@pytest.mark.long
 def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     session = simulate(
         SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))

@@ -51,6 +51,7 @@ def test_one_scale_only(many: Any) -> None:
     assert sum(accepted != ("scale",) for accepted in found) <= some.at_most(0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("given", [{}, {"declared": 1e-7}, {"declared": 3e-5}, {"repeats": 4, "holes": 120}])
 def test_plates_in_which_nothing_is_missing(given: dict[str, float], many: Any) -> None:
     some = many.part(0.2)
@@ -97,6 +98,7 @@ def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None
     assert keys(next_step(repeats_too, Advice())) == ["next.scatter"]
 
 
+@pytest.mark.long
 def test_far_holes_are_named() -> None:
     session, far = plates.plate(3, holes=150, far=4, scales=(4e-5, 4e-5), tails=None)
     found = diagnose(session)
@@ -188,6 +190,7 @@ def frame_that_warms(time: Array, moved: Array, **temperatures: Array) -> Sessio
     return plates.session(columns, 2e-6, "offset", (), np.zeros(n, np.int64), "top")
 
 
+@pytest.mark.long
 def test_effects_that_take_each_other_back_are_not_named() -> None:
     """Half a millimetre of warm-up that the cold end of the frame takes back but for some hundredths."""
     time = 8.0 * np.arange(300)
@@ -221,6 +224,7 @@ def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> N
     assert any(left.covariate == "the bed" and left.share > 0.8 for left in found.left)
 
 
+@pytest.mark.long
 def test_a_frame_that_follows_bed_and_nozzle_has_both_named() -> None:
     time, moved, warm = frame_over_a_bed()
     found = diagnose(frame_that_warms(time, moved, **warm))
@@ -260,6 +264,7 @@ def test_meshes_that_differ_by_tilts_are_said_to() -> None:
     assert (first.covariate, first.share > 0.9) == ("setup", True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["places", "runs", "zone"])
 def test_scatter_of_places_is_said_where_their_repeats_agree_and_nothing_is_alike(what: str) -> None:
     session = simulate(SimulationSpec(plan=PRESETS["grid_plate"].model_copy(update={"repeats": 4}), seed=3)).session

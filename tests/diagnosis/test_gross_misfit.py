@@ -52,6 +52,7 @@ def bent() -> Diagnosis:
     return diagnose(bent_by_the_path(3))
 
 
+@pytest.mark.long
 def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) -> None:
     """A slope and a bow of five standard uncertainties in every setup: they do not reproduce, and the map says so."""
     assert bent.fits[0].reduced_chi_square > 2
@@ -115,6 +116,7 @@ def test_what_explains_half_of_the_excess_is_no_contradiction(
     assert Diagnosis.contradicted.fget(found) is contradicted  # type: ignore[attr-defined]
 
 
+@pytest.mark.long
 def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
     """The repeats scatter as much: then it is the declaration."""
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session

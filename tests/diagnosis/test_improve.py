@@ -109,6 +109,7 @@ def test_what_is_left_can_be_compared_between_models() -> None:
     assert after == pytest.approx(2 * last.left_at_tool)  # type: ignore[operator]
 
 
+@pytest.mark.long
 def test_nothing_is_added_where_nothing_is_missing() -> None:
     done, _ = improved(101)
     assert [s.change for s in done.steps] == [""]
@@ -143,6 +144,7 @@ def test_effects_that_are_there_already_stay() -> None:
     assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
 
 
+@pytest.mark.long
 def test_direct_readings_see_the_tool_point_itself() -> None:
     effects = (FlawSpec(id="backlash_x", size=2e-6),)
     done = improve(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=effects)).session)

@@ -226,6 +226,7 @@ def _coefficient_of(wanted: np.ndarray, fit: Fit, columns: np.ndarray) -> float:
     return float(projected[0, 1] / projected[0, 0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EACH)
 def test_nothing_is_found_where_nothing_is(name: str) -> None:
     plan, _ = SHOWN[name]

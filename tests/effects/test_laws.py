@@ -186,6 +186,7 @@ def test_a_wave_that_changes_its_sign_with_the_direction_is_told_from_one_that_d
         assert accepted == (("reversal_periodic_x",) if reverses else ())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [4, 5, 11])
 def test_of_few_places_a_wave_or_two_are_looked_for(count: int) -> None:
     plan = points(np.tile(np.linspace(0.0, 0.4, count), 3))

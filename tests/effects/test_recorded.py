@@ -46,6 +46,7 @@ def test_its_shift_and_its_scale_are_recovered() -> None:
         assert abs(one.value - truth) < 4 * one.standard_uncertainty < 0.1 * abs(truth)
 
 
+@pytest.mark.long
 def test_what_is_heavy_follows_late() -> None:
     session = axis(grown(followed(TIME, SPINDLE, TAU)))
     late = {p.name: p for p in identify(session, effects=["follows_late_spindle_x"]).parameters}

@@ -31,6 +31,7 @@ def turned(axis: str, sign: int) -> Result:
     return identify(session, effects=[f"backlash_{axis.lower()}"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("axis", "sign"), [("C", -1), ("C", 1), ("A", 1), ("B", -1)])
 @pytest.mark.parametrize("form", ["linuxcnc", "linuxcnc-trims", "siemens"])
 def test_a_file_holds_how_far_the_axis_goes_in_its_own_sense(axis: str, sign: int, form: str) -> None:

@@ -49,6 +49,7 @@ def test_a_page_without_any_machine(tmp_path: Path) -> None:
     assert "No machine yet." in text
 
 
+@pytest.mark.long
 def test_duckdb_and_pandas_read_the_tables(fleet: Machines, tmp_path: Path) -> None:
     duckdb = pytest.importorskip("duckdb")
     written = write_tables(machine_tables(fleet), tmp_path)

@@ -69,6 +69,7 @@ def test_each_is_identified_as_it_is_alone_with_dask_and_without(measurements: P
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "values.parquet"), values, check_dtype=False)
 
 
+@pytest.mark.long
 def test_folders_say_machine_and_date_where_the_session_does_not(measurements: Path, tmp_path: Path) -> None:
     place = places([measurements])[0]
     found = evaluated(place, FIT)
@@ -123,6 +124,7 @@ def test_what_fails_is_told_and_ends_nothing() -> None:
     assert [one.problem for one in found] == ["", "3 is odd", "unexpected ZeroDivisionError: 13 is none", ""]
 
 
+@pytest.mark.long
 def test_processes_of_this_machine_end_with_it() -> None:
     pytest.importorskip("distributed")
     before = set(multiprocessing.active_children())

@@ -46,6 +46,7 @@ def motion(fit: mtcal.Fit, name: str) -> pd.DataFrame:
     return fit.error_motions[fit.error_motions["motion"] == name]
 
 
+@pytest.mark.long
 def test_identify_says_what_the_command_says(folder: Path, fit: mtcal.Fit, verb: Verb) -> None:
     document = verb("identify", str(folder), "--json").document
     assert json.loads(json.dumps(fit.document())) == document
@@ -118,6 +119,7 @@ def test_error_motions_are_those_of_the_document(fit: mtcal.Fit) -> None:
         assert fit.workpiece.empty
 
 
+@pytest.mark.long
 def test_compare_says_what_the_command_says(folder: Path, fit: mtcal.Fit, verb: Verb) -> None:
     assert fit.rejected.empty  # the command holds the model against all readings
     comparison = fit.compare()
@@ -156,6 +158,7 @@ def test_the_loop(folder: Path, fit: mtcal.Fit) -> None:
     assert figure.axes[0].get_title() == "The error falls"
 
 
+@pytest.mark.long
 def test_frames_of_an_improvement_are_those_of_its_document() -> None:
     improvement = mtcal.improve(mtcal.simulate(seed=3, **SESSIONS["direct"]))
     diagnosis, document = improvement.diagnosis, improvement.document()
@@ -171,6 +174,7 @@ def test_frames_of_an_improvement_are_those_of_its_document() -> None:
         assert shown.plot().canvas.manager is None
 
 
+@pytest.mark.long
 def test_several_sessions(tmp_path: Path, verb: Verb) -> None:
     for name, plan in (("square", {"plan": "grid_plate", "count": 5}), ("line", {"plan": "iso230_2"})):
         mtcal.simulate(**plan, repeats=1, seed=2, machine=MACHINE).save(tmp_path / name)  # type: ignore[arg-type]

@@ -94,6 +94,7 @@ def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal
     np.testing.assert_allclose(fit.add(bend).result.fit.residuals, known.add("bend").result.fit.residuals)
 
 
+@pytest.mark.long
 def test_bad_input_is_one_line(session: mtcal.Measurement, fit: mtcal.Fit, tmp_path: Path) -> None:
     def own(formula: str) -> mtcal.Effect:
         return mtcal.Effect("mine", formula, enters="x", coefficients={"q": ("m", -1.0, 1.0)})

@@ -152,6 +152,7 @@ def test_figures_are_those_of_iso_230_4() -> None:
     assert expanded["D"] == pytest.approx(1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ellipse", [0.0, 3e-6])
 def test_u_of_a_range_counts_that_noise_makes_it_larger(ellipse: float) -> None:
     circles, rng, within = Circles("XY", count=360), np.random.default_rng(3), dict.fromkeys(("G_ccw", "G_b", "H"), 0)

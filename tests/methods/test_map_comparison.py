@@ -125,6 +125,7 @@ def twin() -> tuple[Session, Session, Session]:
     return tracked.session, simulate(spec, machine=tracked.truth.machine).session, simulate(spec).session
 
 
+@pytest.mark.long
 def test_two_instruments_agree_on_one_machine_and_not_on_two() -> None:
     tracked, same, other = (fitted_sessions(identify(session)) for session in twin())
     draws = 80

@@ -117,6 +117,7 @@ def test_two_sessions_share_the_machine_s_squareness(tmp_path: Path) -> None:
     assert {"first/scale_mismatch", "second/scale_mismatch"} <= found.keys()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("plugin")
 def test_the_command_line_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(circles(tmp_path / "circles", backlash=BACKLASH))

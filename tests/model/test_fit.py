@@ -60,6 +60,7 @@ def test_other_readings_give_the_fit_of_them(reproducible: None, plan: TrackingP
         assert found.uncertainty == pytest.approx(again.uncertainty, rel=1e-3, nan_ok=True)
 
 
+@pytest.mark.long
 def test_draws_have_the_published_uncertainty() -> None:
     """Of points, with what does not reproduce in it: over all of them, and the correlation between neighbours."""
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=2)).session

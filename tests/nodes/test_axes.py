@@ -99,6 +99,7 @@ def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     assert 0.0 < abs(place.x - 0.2) + abs(place.y) + abs(place.z) < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("simulated_time", [True, False])
 def test_commands_outside_the_travel_are_refused(bench, simulated_time):
     axes = Axes(bench.operator(bench.graph(("axis_simulator",), simulated_time=simulated_time)))

@@ -31,6 +31,7 @@ def linear_map() -> PointCloud2:
     return cloud(0, {**fields, "ux": small, "uy": small, "uz": small})
 
 
+@pytest.mark.long
 def test_corrects_by_a_map_that_was_latched_before(ros_domain: int) -> None:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)

@@ -154,6 +154,7 @@ def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, 
     assert not operator.heard.outcome("estimator").message, "it ends in the middle of its work"
 
 
+@pytest.mark.long
 def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
     with pytest.raises(CalibrationError, match="no session has been described yet"):

@@ -60,6 +60,7 @@ def test_logs_stay_where_ros_puts_them(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert "ROS_LOG_DIR" not in os.environ
 
 
+@pytest.mark.long
 def test_a_node_starts_without_a_home(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ros_domain: int) -> None:
     monkeypatch.setenv("HOME", os.devnull)
     monkeypatch.setenv("TMPDIR", str(tmp_path))

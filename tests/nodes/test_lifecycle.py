@@ -21,6 +21,7 @@ ENDLESS = {**PROCEDURE, "session": {**PROCEDURE["session"], "repeats": 100}}
 BY_HAND = {"autostart": False}
 
 
+@pytest.mark.long
 def test_a_manager_takes_a_measuring_graph_up_and_down_and_ends_it(bench: Bench) -> None:
     graph = bench.graph(NODES, procedure=ENDLESS, more=dict.fromkeys(NODES, BY_HAND))
     operator = bench.operator(graph)
@@ -84,6 +85,7 @@ def test_a_node_is_set_by_hand(bench: Bench) -> None:
     assert graph.ended()["estimator"].startswith("estimator ended with status 0:")
 
 
+@pytest.mark.long
 def test_a_transition_that_cannot_be_made_says_why_and_leaves_the_node_where_it_was(bench: Bench) -> None:
     bench.graph(("procedure",), more={"procedure": {**BY_HAND, "procedure": "/no/such/file.yaml"}})
     operator = bench.operator()

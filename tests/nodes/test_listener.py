@@ -51,6 +51,7 @@ def test_messages_that_mean_nothing_are_ignored_and_the_next_are_heard(bench):
     assert not heard.description and not heard.published.number
 
 
+@pytest.mark.long
 def test_services_that_move_axes_are_offered_only_where_the_node_allows_it(bench):
     bench.graph(("procedure",), namespace="cell_1", more={"procedure": {"services_move_axes": False}})
     bench.graph(("procedure",), namespace="cell_2")

@@ -148,6 +148,7 @@ def the_demonstration_holds_the_map_against_the_truth(bench, session):
     assert found.before > 1e-6 > 1000 * found.rms
 
 
+@pytest.mark.long
 def test_a_pointer_turns_about_a_target_that_stands_still(bench, finish):
     procedure = load("pointer_centre")
     procedure["session"]["repeats"] = 1

@@ -117,6 +117,7 @@ def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, pla
     assert operator.heard.published.document == json.dumps(direct.document(), allow_nan=False)
 
 
+@pytest.mark.long
 def test_paused_until_it_goes_on(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag"), paused=True)
     heard = ready(operator)
@@ -140,6 +141,7 @@ def test_nothing_is_sent_before_the_delay_is_over(tmp_path: Path, play) -> None:
     assert operator.wait(lambda: len(heard.values) == 20, PATIENCE)
 
 
+@pytest.mark.long
 def test_the_rate_is_kept(tmp_path: Path, play) -> None:
     """Never faster than asked; how much slower a busy machine is, is not ours to say."""
     operator = play(ticks(tmp_path / "bag", 21, 200_000_000), rate=4.0, paused=True)

@@ -245,6 +245,7 @@ def played(bench):
     return operator, axes, asked
 
 
+@pytest.mark.long
 def test_a_command_that_the_axes_did_not_hear_is_sent_again(bench):
     operator, axes, _ = played(bench)
     first = axes.commands.pop()

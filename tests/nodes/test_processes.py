@@ -118,6 +118,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.long
 def test_what_is_wrong_is_said_in_one_line(tmp_path):
     started = []
     for number, (name, parameters, message) in enumerate(WRONG):

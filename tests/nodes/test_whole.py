@@ -182,6 +182,7 @@ def test_nothing_that_was_planned_is_warned_of(whole):
     assert "[WARN]" not in said and "[ERROR]" not in said
 
 
+@pytest.mark.long
 def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     whole.graph.stop(["recorder"])  # which takes what has come
     bag = BagReader(whole.bag)

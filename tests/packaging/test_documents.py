@@ -52,6 +52,7 @@ def test_every_key_and_column_is_named() -> None:
     assert keys | {*LABEL_COLUMNS, *NUMERIC_COLUMNS} <= words(SESSIONS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("verb", ["identify", "diagnose"])
 def test_every_key_of_a_document_is_named(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([verb, SESSION, "--json"]) == 0

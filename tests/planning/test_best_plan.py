@@ -171,6 +171,7 @@ def test_every_plan_that_is_allowed_keeps_the_rules_of_the_bound_and_one_with_to
     assert not kept(every, every)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seconds", "goal"), [(700.0, 1.2e-6), (400.0, 2.5e-6)])
 def test_the_quickest_plan_comes_to_what_is_wanted_as_soon_as_any(seconds: float, goal: float) -> None:
     """By trying all; what follows it is allowed as well."""
@@ -218,6 +219,7 @@ def test_a_plan_has_readings_that_check_each_other() -> None:
     assert three < 0.1 < four
 
 
+@pytest.mark.long
 def test_the_file_of_the_quickest_plan_has_its_setups_in_their_order() -> None:
     """With a margin for what does not reproduce between setups, which no plan can know of."""
     text = _changed(seconds=700.0)
@@ -226,6 +228,7 @@ def test_the_file_of_the_quickest_plan_has_its_setups_in_their_order() -> None:
     assert quickest_plan(text, "plane", Assumed(), u=1.4e-6) == offered.text(wanted)
 
 
+@pytest.mark.long
 def test_what_a_plan_is_made_of_and_how_far_the_work_is() -> None:
     shares: list[float] = []
     found = best_plan(PLANE, "plane.yaml", Assumed(), progress=lambda what, share: shares.append(share))
@@ -240,6 +243,7 @@ def test_what_a_plan_is_made_of_and_how_far_the_work_is() -> None:
     assert document["candidates"] == {"setups": 9, "targets": 0}
 
 
+@pytest.mark.long
 def test_same_seed_same_plan(found: BestPlan) -> None:
     assert best_plan(PLANE, "plane.yaml", Assumed()).document() == found.document()
 
@@ -262,6 +266,7 @@ def test_an_effect_is_told_better_than_now() -> None:
     assert found.document()["unit"] == "1"
 
 
+@pytest.mark.long
 def test_what_a_budget_says_is_in_it() -> None:
     line = {"name": "wavelength", "type": "B", "standard_uncertainty": 2e-6, "enters": "length", "varies": "setup"}
     zero = {"name": "zero", "type": "B", "standard_uncertainty": 1e-7, "enters": "reading", "varies": "place"}

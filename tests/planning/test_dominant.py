@@ -129,6 +129,7 @@ def test_a_run_that_turns_back_reads_every_angle_from_both_sides(simulated: Simu
         assert new.columns[name] == pytest.approx(theirs.columns[name])
 
 
+@pytest.mark.long
 def test_where_readings_dominate_nothing_is_proposed(simulated: Simulated) -> None:
     found = _of(simulated("rotary_axis"))
     assert (found.cause, found.remedies, found.again) == ("readings", (), None)
@@ -146,6 +147,7 @@ def test_sizes_that_are_not_assumed_are_taken_from_the_session(simulated: Simula
     assert found.cause == "angular errors"
 
 
+@pytest.mark.long
 def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) -> None:
     """A third of what a metre of steel grows, per hour; of a steadier room no less than of 1 K per hour."""
     assert pytest.approx(11.5e-6 / 3.0, rel=0.1) == DRIFT * 3600.0
@@ -157,6 +159,7 @@ def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) 
         assert found is not None and found.drift == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_plan_says_it_before_anything_is_measured() -> None:
     promised = forecast(read_procedure(procedure_file("step_diagonal_long")), angular=1e-7)
     assert promised.dominant is not None

@@ -23,6 +23,7 @@ def named(options: list[Option], kind: str) -> Option:
     return next(option for option in options if option.kind == kind)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", EVERY)
 def test_every_option_is_a_session_that_the_method_understands(simulated: Simulated, plan: str) -> None:
     session = simulated(plan)

@@ -42,6 +42,7 @@ def test_commands_of_the_next_step_leave_before_the_reading_is_published():
     assert ["Motion", "Aim", "Emit"] in actions
 
 
+@pytest.mark.long
 @given(st.integers(0, 10**6), st.floats(0.0, 0.15), st.integers(0, 12))
 def test_never_pairs_wrongly_however_messages_come(seed, loss, disorder):
     world = World(small(), seed, loss, disorder)
@@ -50,6 +51,7 @@ def test_never_pairs_wrongly_however_messages_come(seed, loss, disorder):
     world.check()
 
 
+@pytest.mark.long
 @given(
     st.integers(0, 10**6),
     st.lists(

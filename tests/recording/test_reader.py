@@ -183,6 +183,7 @@ def bomb(path: Path, size: int, claimed: int, copies: int = 1) -> Path:
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("size", "claimed", "copies", "expected"),
     [

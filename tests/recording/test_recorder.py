@@ -123,6 +123,7 @@ def test_ten_thousand_samples_a_second_of_a_graph_in_its_namespace(tmp_path: Pat
     assert all(b.log_time >= a.log_time for a, b in itertools.pairwise(messages))
 
 
+@pytest.mark.long
 def test_chosen_topics_of_any_quality(tmp_path: Path, ros_domain: int) -> None:
     folder = tmp_path / "bag"
     with recorder(f"folder:={folder}", "topics:=['loose', '/instrument/displacement']") as process:
@@ -215,6 +216,7 @@ def test_the_command_records_until_it_is_stopped(tmp_path: Path, ros_domain: int
     assert "/session" in {topic["name"] for topic in document["topics"]}
 
 
+@pytest.mark.long
 def test_the_command_records_for_a_time(tmp_path: Path, ros_domain: int) -> None:
     with command(tmp_path / "bag", "--duration", "0.5") as process:
         output, errors = process.communicate(timeout=PATIENCE)

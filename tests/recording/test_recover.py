@@ -19,6 +19,7 @@ def whole(path: Path) -> list[Message]:
     return list(BagReader(path).messages())
 
 
+@pytest.mark.long
 def test_a_file_cut_anywhere(small_bag: Callable[..., Path], tmp_path: Path) -> None:
     path = small_bag(messages=300, chunk_bytes=4096)
     messages = whole(path)
@@ -118,6 +119,7 @@ edits = st.lists(
 )
 
 
+@pytest.mark.long
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(edits)
 def test_damaged_bytes_give_session_errors_only(

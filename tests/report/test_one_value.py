@@ -200,6 +200,7 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(
     assert [p["standard_uncertainty"] for p in of_model] == pytest.approx([own.standard_uncertainty])
 
 
+@pytest.mark.long
 def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
     found = whole()
     assert found.budget is not None and found.conformity is not None and found.improvement is not None

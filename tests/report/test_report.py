@@ -201,6 +201,7 @@ def test_what_people_wrote_cannot_become_part_of_the_page():
     assert "\x1b" not in text and "Erika Müller\ufffd[31m" in text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["tracking_2d", "rotary_axis"])
 def test_the_map_can_be_turned_and_its_library_is_in_the_page(name):
     (drawing,) = (block.drawing for block in blocks(name, Turnable))

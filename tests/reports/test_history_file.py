@@ -97,6 +97,7 @@ def test_a_crash_in_the_middle_leaves_the_old_history(tmp_path: Path, monkeypatc
     assert read_history(path) == new != old
 
 
+@pytest.mark.long
 def test_commands_at_once_lose_nothing(tmp_path: Path) -> None:
     path = tmp_path / "history.yaml"
 

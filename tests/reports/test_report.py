@@ -189,6 +189,7 @@ def exchanged(plan: str, axis: str) -> Session:
     return session.with_readings(replace(session.readings, columns=columns))
 
 
+@pytest.mark.long
 def test_a_coefficient_that_is_negative_and_should_not_be_is_said_to_be() -> None:
     session = exchanged("tracking_2d", "y")
     negative = say("fit.negative_backlash", name="backlash_y")
@@ -237,6 +238,7 @@ def test_a_lead_on_a_grid_of_places_may_be_a_shorter_one() -> None:
         assert ("pitch_periodic_x.lead looks like" in said) == bool(others) and others in said
 
 
+@pytest.mark.long
 def test_what_is_likely_is_said_beside_readings_that_were_set_aside() -> None:
     """Of an axis that was run both ways besides that directions differ, and no places."""
     named = diagnose(exchanged("iso230_2", "x"))

@@ -58,6 +58,7 @@ def test_readings_of_a_plate_that_was_drilled_once_are_averaged_hole_by_hole() -
     np.testing.assert_allclose(averaged[0].readings.displacement, expected, rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", ["tracking_2d", "iso230_2", "grid_plate", "step_diagonal"])
 def test_repeats_show_the_noise_however_much_places_differ(plan: str) -> None:
     for off in (0.0, 6.0):
@@ -234,6 +235,7 @@ def test_a_run_on_another_zero_loses_no_reading(tmp_path: Path) -> None:
     assert spread["size"] > 5e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("after", [26, 28, 30])
 def test_a_step_within_a_run_loses_no_reading(after: int) -> None:
     """The model takes up most of it, so that five or ten readings before and after it stand out together."""

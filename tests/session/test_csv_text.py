@@ -59,6 +59,7 @@ def numbers(count: int, seed: int) -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.long
 def test_the_fields_of_pandas() -> None:
     rng = np.random.default_rng(1)
     count = 7_000

@@ -102,6 +102,7 @@ def test_a_link_out_of_the_folder_is_only_read(tmp_path: Path) -> None:
         read_session(folder)
 
 
+@pytest.mark.long
 def test_many_rows_take_seconds(tmp_path: Path) -> None:
     rows = 100_000
     rng = np.random.default_rng(1)

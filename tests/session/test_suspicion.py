@@ -152,6 +152,7 @@ def test_what_fits_and_is_stated_otherwise(preset: str, damage: Any, says: str) 
     assert says in " ".join(suspicions([wrong]))
 
 
+@pytest.mark.long
 def test_a_place_found_beside_the_stated_one_is_said() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=1)).session
     first, *rest = session.description.setups

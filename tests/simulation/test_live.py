@@ -22,6 +22,7 @@ from machine_tool_calibration.simulation.sensors import sensed_path
 from machine_tool_calibration.simulation.site import LiveMachine
 
 
+@pytest.mark.long
 def test_live_readings_are_those_of_the_session():
     effects = [
         "backlash_y",

@@ -63,6 +63,7 @@ def test_a_machine_that_did_not_change_is_not_called_changed() -> None:
         assert not found.moved and {one.name for one in found.changes} >= {"EXX", "ECY", "C0Y", "position_error"}
 
 
+@pytest.mark.long
 def test_a_squareness_that_changed_is_named_with_its_size_and_no_motion_beside_it() -> None:
     found = check(measured(11)[1], measured(12, 12e-6)[1])
     (moved,) = (one for one in found.moved if one.name != "position_error")
@@ -89,6 +90,7 @@ def test_p_values_are_adjusted_by_the_rule_of_holm() -> None:
     np.testing.assert_allclose([one.adjusted for one in found.changes], expected)
 
 
+@pytest.mark.long
 def test_of_a_document_a_change_is_found_without_correlations() -> None:
     result, _ = measured(11)
     document = of_result(result.document(), "result.json")
@@ -187,6 +189,7 @@ def test_what_was_too_uncertain_and_what_only_one_has_is_said() -> None:
         check(first, statement(np.array([2e-6]), 1e-6, "second", "B0Z"))
 
 
+@pytest.mark.long
 def test_the_measurement_that_the_map_was_made_from_is_refused() -> None:
     with pytest.raises(CalibrationError, match="was made from"):
         check(measured(11)[1], measured(11)[1])
@@ -242,6 +245,7 @@ def test_a_drift_is_no_jump_and_begins_where_it_begins() -> None:
         assert abs(found.change - 19.0) < 4.0 * found.u and found.first <= 10 <= found.last
 
 
+@pytest.mark.long
 def test_another_sensor_explains_a_step_and_a_jump_beside_it_is_still_found() -> None:
     for seed in range(10):
         stepped = noise(seed) + 8.0 * OTHER
@@ -270,6 +274,7 @@ def test_what_a_change_would_be_does_not_depend_on_how_probable_it_is() -> None:
     assert many.u == pytest.approx(few.u, rel=0.1) and (many.first, many.last) == (few.first, few.last)
 
 
+@pytest.mark.long
 def test_the_spread_between_sessions_is_in_the_uncertainty_of_a_step() -> None:
     for size in (1.0, 5.0):
         found = [explained(noise(seed, size) + 40.0 * OTHER, OTHER) for seed in range(10)]

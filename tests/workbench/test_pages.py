@@ -90,6 +90,7 @@ def test_a_model_keeps_its_residual_volumetric_error_when_another_is_undone(stat
     assert page._steps.data["tool"] == [first]
 
 
+@pytest.mark.long
 def test_an_export_says_of_which_model_it_is(state: State, document: Document) -> None:
     page = shown(ExportPage, state)
     assert state.model.fit.result.model_name == "free"
@@ -108,6 +109,7 @@ def test_compare_shows_long_readings_in_millimetres_and_hides_setups(state: Stat
     assert {page._readings.data["setup"][k] for k in page._view.filter.indices} == {"B"}
 
 
+@pytest.mark.long
 def test_another_measurement_may_lie_in_another_plane(state: State, tmp_path: Path, document: Document) -> None:
     page = shown(ImprovePage, state)
     assert page._plane.value == "xy"
@@ -119,6 +121,7 @@ def test_another_measurement_may_lie_in_another_plane(state: State, tmp_path: Pa
     assert page._plane.value == "xz" == page._plane.options[0]
 
 
+@pytest.mark.long
 def test_at_one_place_nothing_is_magnified(state: State, tmp_path: Path, document: Document) -> None:
     (tmp_path / "session.yaml").write_text(
         "{format: mtcal-session/1, method: direct, machine: {chain: w-X-Y-Z-b-t}, setups: [{id: top}], "

@@ -61,6 +61,7 @@ def test_the_form_says_what_a_procedure_is_and_why_one_is_none(tmp_path: Path, m
     assert ready[-1] is False and not form._choices.visible
 
 
+@pytest.mark.long
 def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> None:
     from machine_tool_calibration.workbench.procedure_form import changed_procedure
 

@@ -55,6 +55,7 @@ def test_an_effect_is_added_and_undone_and_the_history_holds_it(hidden: Path) ->
     assert "nothing to undo" in state.remark and len(state.models) == 1
 
 
+@pytest.mark.long
 def test_what_was_added_and_taken_away_again_is_the_first_model_of_the_history(hidden: Path) -> None:
     state = opened(hidden)
     state.changed(add=["backlash_y"])()
@@ -63,6 +64,7 @@ def test_what_was_added_and_taken_away_again_is_the_first_model_of_the_history(h
     assert read_history(history_path(hidden)).current == 1
 
 
+@pytest.mark.long
 def test_a_window_opened_later_goes_on_where_the_history_is(hidden: Path) -> None:
     state = opened(hidden)
     state.changed(aside=[5, 6])()
@@ -73,6 +75,7 @@ def test_a_window_opened_later_goes_on_where_the_history_is(hidden: Path) -> Non
     np.testing.assert_array_equal(again.model.comparison.fit.residuals, state.model.comparison.fit.residuals)
 
 
+@pytest.mark.long
 def test_two_windows_do_not_disturb_each_other(hidden: Path) -> None:
     one, two = opened(hidden), opened(hidden)
     one.changed(add=["backlash_y"])()
@@ -94,6 +97,7 @@ def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path
     assert history_path(hidden).read_text(encoding="utf-8") == "- damaged\n"
 
 
+@pytest.mark.long
 def test_a_history_that_was_moved_away_is_begun_anew(hidden: Path) -> None:
     state = opened(hidden)
     for name in ("backlash_x", "backlash_y", "warmup_y"):
@@ -117,6 +121,7 @@ def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
     assert len(state.models) == 1
 
 
+@pytest.mark.long
 def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> None:
     state = opened(hidden)
     readings = Readings(state)
@@ -229,6 +234,7 @@ def test_what_does_not_belong_to_the_rest_is_judged_beside_the_effects(hidden: P
     assert state.model.aside == {7}
 
 
+@pytest.mark.long
 def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) -> None:
     state = opened(hidden)
     unknown = {"b": {"unit": "m", "low": -1, "high": 1}}

@@ -51,6 +51,7 @@ def columns_of(effect: str) -> np.ndarray:
     return catalogue()[effect].columns(build_model(session(None))[0].observations)
 
 
+@pytest.mark.long
 def test_a_structure_in_the_span_of_an_effect_is_that_effect() -> None:
     """Otherwise it would take a share of its probability."""
     copied = 3.0 * columns_of("backlash_y")
@@ -98,6 +99,7 @@ def test_a_structure_of_its_own_is_told_and_no_effect_is() -> None:
     assert look.accepted == ()
 
 
+@pytest.mark.long
 def test_probabilities_belong_together() -> None:
     for effect in (None, "backlash_y"):
         look = looked(session(effect))

@@ -109,6 +109,7 @@ def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     assert set(found.search.sets[0][0]) == {"warmup_x", "backlash_x"}
 
 
+@pytest.mark.long
 def test_a_strong_warm_up_has_a_time_constant_between_those_that_are_tried() -> None:
     """At the nearest of these, a fifth off, what is left would look like a drift."""
     session = simulated("iso230_2", 23, [FlawSpec(id="warmup_x", amplitude=6e-5, parameters={"tau": 160.0})])
@@ -118,6 +119,7 @@ def test_a_strong_warm_up_has_a_time_constant_between_those_that_are_tried() -> 
     assert tau == pytest.approx(160.0, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_screw_that_grows_while_it_warms_up_is_named_without_a_thermometer() -> None:
     flaws = [FlawSpec(id="screw_growth_x", size=4e-5, parameters={"tau": 500.0}), FlawSpec(id="backlash_x", size=3e-6)]
     session = simulated("iso230_2", 23, flaws)
@@ -142,6 +144,7 @@ def test_the_slow_part_of_a_warm_up_is_no_drift_beside_it_unless_it_is_the_large
     assert set(found.accepted) == accepted
 
 
+@pytest.mark.long
 def test_a_reversal_of_the_other_sign_is_the_same_effect() -> None:
     """An axis whose control compensates more than there is: a sign is expected, and no wall."""
     found = diagnose(simulated("iso230_2", 24, [FlawSpec(id="backlash_x", size=-3e-6)]))
@@ -222,6 +225,7 @@ def in_seconds(found: Diagnosis) -> set[str]:
     return effects | {s.covariate for s in found.search.structure if s.covariate == "time" or s.shape.endswith(" s")}
 
 
+@pytest.mark.long
 def test_without_times_nothing_is_told_in_seconds() -> None:
     session = simulated("tracking_2d", 26)
     order = np.arange(len(session.readings))

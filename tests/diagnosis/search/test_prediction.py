@@ -63,6 +63,7 @@ def test_an_effect_of_one_setup_does_not_predict_the_others() -> None:
     assert setups.speaks_against
 
 
+@pytest.mark.long
 def test_an_effect_that_its_predictions_speak_against_is_refused_although_it_is_probable(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -100,6 +101,7 @@ def test_parts_that_are_predicted_worse_speak_against(gains: tuple[float, ...], 
     assert Prediction("blocks of places", gains, 100).speaks_against is places
 
 
+@pytest.mark.long
 def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
     """A warm-up beside a wave in half of the places: without the wave among the known, those places contradict."""
     flaws = [FlawSpec(id="warmup_x", amplitude=8e-6, parameters={"tau": 160.0})]
@@ -113,6 +115,7 @@ def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
     assert "warmup_x" not in found.refused
 
 
+@pytest.mark.long
 def test_of_two_cycles_whose_passes_differ_one_predicts_the_other() -> None:
     """A single cycle has one pass of each direction: alone it knows nothing of what passes differ by."""
     session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=1)).session

@@ -162,6 +162,7 @@ def test_moments_of_changes_count_the_readings_before_them() -> None:
     assert [words.rsplit(" ", 2)[1:] for words in told] == [["1", "reading"], ["7", "readings"], ["2.57", "readings"]]
 
 
+@pytest.mark.long
 def test_setups_that_read_one_place_have_no_slopes() -> None:
     """Three targets of one pose that is approached from anywhere."""
     rng = np.random.default_rng(3)

@@ -246,6 +246,7 @@ def _judged(direct: SimpleNamespace, kind: str, runs: int, **plan: Any) -> tuple
     return float(np.mean(normalised)), float(np.sqrt(np.mean(errors) / np.mean(stated))), float(np.mean(chi))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "plan"),
     [("iso230_2", {"repeats": 3}), ("iso230_2", {"repeats": 3, "datum": "offset"}), ("straightness", {"repeats": 3})],

@@ -255,6 +255,7 @@ def test_a_short_axis_may_be_off_by_a_hundredth_of_its_travel() -> None:
     identify(plates.axis(1, positions=5, length=8e-3, noise=4e-5))
 
 
+@pytest.mark.long
 def test_a_bad_machine_and_a_part_askew_are_not_refused() -> None:
     for seed in range(12):
         turn = (0.0, 1e-3, 1e-2, 5e-2)[seed % 4]

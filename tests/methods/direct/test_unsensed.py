@@ -76,6 +76,7 @@ def test_a_plate_tells_its_plane_only(direct: SimpleNamespace) -> None:
     assert np.isnan(identify(_plate(direct, both=False)).error_map.uncertainty[:, 1:]).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("datum", ["none", "rigid"])
 def test_an_axis_that_stands_still_has_no_error_motions(direct: SimpleNamespace, datum: str) -> None:
     """A line along x, read along x and across: what the datum sets to 0 at Y's only position is no result."""

@@ -45,6 +45,7 @@ def test_sessions_of_one_machine_agree(several: SimpleNamespace, many: Any) -> N
     assert "the sessions agree" in found[0].statement
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("odd", ["tracker", "run", "grid"])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_odd_one_of_three(several: SimpleNamespace, odd: str, seed: int) -> None:
@@ -64,6 +65,7 @@ def test_two_sessions_alone_do_not_determine_which_is_wrong(several: SimpleNames
     assert "two sessions alone do not determine which" in agreement.statement
 
 
+@pytest.mark.long
 def test_scatter_beyond_the_declared_is_no_contradiction(several: SimpleNamespace) -> None:
     names = ("tracker", "run", "grid")
     sessions = [several.measured(name, 6, noise_factor=4.0).session for name in names]

@@ -60,6 +60,7 @@ def test_together_is_better_than_alone(several: SimpleNamespace) -> None:
     json.dumps(both.document(), allow_nan=False)
 
 
+@pytest.mark.long
 def test_step_diagonal_takes_angular_errors_from_a_tracker(several: SimpleNamespace) -> None:
     simulated = [several.measured(name, 2) for name in ("tracker", "diagonals")]
     result = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("tracker", "diagonals")))
@@ -193,6 +194,7 @@ def _two_trackers(several: SimpleNamespace, seed: int, size: float | None) -> Jo
     return identify_sessions(FitRequest(sessions, ("first", "second"), effects=("warmup_y",)))
 
 
+@pytest.mark.long
 def test_a_time_constant_is_shared(several: SimpleNamespace, many: Any) -> None:
     normalised = []
     some = many.part(0.25)

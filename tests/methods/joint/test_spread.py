@@ -103,6 +103,7 @@ def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace, repro
     assert np.sqrt(along @ covariance @ along) == pytest.approx(own["x_u"][-1, 0], rel=1e-3)
 
 
+@pytest.mark.long
 def test_what_the_readings_hardly_tell_is_named(several: SimpleNamespace) -> None:
     found = {}
     for angular in (0.0, 1e-5):
@@ -127,6 +128,7 @@ def _with_a_bow(several: SimpleNamespace, motion: str) -> JointResult:
     return identify_sessions(FitRequest(sessions, ("diagonals", "grid")))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("motion", ["EXX", "EYY"])
 def test_a_grid_plate_contradicts_step_diagonals_in_positioning(several: SimpleNamespace, motion: str) -> None:
     found = _with_a_bow(several, motion).agreement.contradictions
@@ -144,6 +146,7 @@ def test_in_straightness_it_cannot_and_says_so(several: SimpleNamespace) -> None
     assert "angular" not in identify_sessions(FitRequest(without, ("diagonals", "grid"))).agreement.statement
 
 
+@pytest.mark.long
 def test_beyond_what_a_session_can_tell_there_is_no_value(several: SimpleNamespace) -> None:
     """Step diagonals over 120 mm, a run over 400 mm: positioning everywhere, straightness over 120 mm."""
     content = {"seed": 3, "plan": {"method": "step_diagonal"}, "machine": _random(3, 2e-6)}

@@ -216,6 +216,7 @@ def arrays(session):
     return collect(""), collect("_u")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", ["cross", "unreached"])
 def test_normalised_error_over_many_runs(make, plan, many):
     points = None if plan == "cross" else cross(half=0.075, spheres=False)

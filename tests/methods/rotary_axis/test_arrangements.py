@@ -55,6 +55,7 @@ def _ratio(rotary: SimpleNamespace, runs: int, axis: str = "C", **plan: object) 
     return float(np.mean((error / u) ** 2)), float(worst)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("axis", "plan"),
     [
@@ -74,6 +75,7 @@ def test_normalised_errors_over_some_runs(
     assert worst < 1.0 + some.off(0.055)
 
 
+@pytest.mark.long
 def test_two_targets_at_one_height_show_how_the_table_turns(rotary: SimpleNamespace, many: Any) -> None:
     errors, stated = [], []
     some = many.part(0.5)
@@ -97,6 +99,7 @@ def test_targets_on_a_line_say_how_little_they_know(rotary: SimpleNamespace) -> 
     assert np.max(content["ECC_u"]) < 5e-6 and np.min(content["EAC_u"][3:6]) > 1e-4
 
 
+@pytest.mark.long
 def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: SimpleNamespace, many: Any) -> None:
     one, four = [], []
     some = many.part(0.2)
@@ -146,6 +149,7 @@ def _moved(plan: str, *flaws: FlawSpec, effects: tuple[str, ...] = ()) -> tuple[
     return np.asarray(flawed.content["c"]), np.asarray(flawed.error - clean.error)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", ["linear_drift", "dead_path"])
 def test_what_changes_with_time_is_not_taken_for_an_error_of_the_angle(effect: str) -> None:
     drift = FlawSpec(id=effect, amplitude=3e-6)

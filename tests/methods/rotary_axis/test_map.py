@@ -125,6 +125,7 @@ def test_places_of_targets_and_stations_are_those_of_the_fit(rotary: SimpleNames
             np.testing.assert_allclose(u, [s for _, s in expected], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_station_that_read_nothing_does_not_place_the_line(rotary: SimpleNamespace) -> None:
     """However well its place is stated: the line is that of the three others."""
     session = rotary.measured(3).session

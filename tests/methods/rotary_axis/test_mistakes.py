@@ -70,6 +70,7 @@ def test_what_is_suspected_undoes_the_mistake(rotary: SimpleNamespace, factor: f
     np.testing.assert_allclose(undone[what].readings.displacement, session.readings.displacement, rtol=1e-15)
 
 
+@pytest.mark.long
 def test_two_targets_exchanged(rotary: SimpleNamespace) -> None:
     session = rotary.measured(2, angles=FEW).session
     target = _exchanged(session.readings.labels["target"].astype(str), "P", "K")

@@ -43,6 +43,7 @@ def test_example_session():
     assert {entry["name"] for entry in document["not_determined"]} == {f"E{c}{a}" for c in "ABC" for a in "XYZ"}
 
 
+@pytest.mark.long
 def test_map_is_in_the_coordinate_system_of_eq_17(exact):
     result = identify(exact(1, noise=1.0, repeats=2).session)
     content = result.error_map.content
@@ -84,6 +85,7 @@ def test_tilts_are_those_of_the_mirrors(exact):
     assert size == pytest.approx([1e-3] * 3, rel=0.05)  # the beam itself lies off the nominal diagonal
 
 
+@pytest.mark.long
 def test_aligned_mirror_shows_the_missing_tilt_and_the_effect_mends_it(exact):
     session = exact(7, noise=1.0, repeats=2).session
     lacking = identify(session, model="aligned_mirror")
@@ -92,6 +94,7 @@ def test_aligned_mirror_shows_the_missing_tilt_and_the_effect_mends_it(exact):
     assert mended.fit.joint.reduced_chi_square < 1.4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["small_angles", "translations"])
 @pytest.mark.parametrize(
     ("lost", "determined", "squareness"),
@@ -162,6 +165,7 @@ def test_dead_path_shows_and_the_effect_mends_it(exact):
     assert after.fit.joint.p_value > 1e-3
 
 
+@pytest.mark.long
 def test_the_size_of_the_angles_is_estimated_again_when_a_term_is_added(exact):
     nodes = tuple(0.01 * k for k in range(13))
     bow = TableSpec(nodes=nodes, values=tuple(4e-4 * x * (0.12 - x) / 0.06 for x in nodes))

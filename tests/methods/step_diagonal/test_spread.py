@@ -131,6 +131,7 @@ def test_a_declaration_that_is_too_small_does_not_turn_scatter_into_angles(exact
     assert np.nanmedian(found[right > 0] / right[right > 0]) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_the_same_readings_give_the_same_to_the_last_bit(exact):
     session = exact(3, noise=1.0, angular=5e-6).session
     one, other = identify(session), identify(session)
@@ -139,6 +140,7 @@ def test_the_same_readings_give_the_same_to_the_last_bit(exact):
     assert one.document() == other.document()
 
 
+@pytest.mark.long
 def test_parameters_are_those_of_the_map(exact):
     result = identify(exact(3, noise=1.0, angular=5e-6, repeats=2).session)
     found = {p.name: p for p in result.parameters}
@@ -160,6 +162,7 @@ def test_angles_that_are_expected_have_the_size_that_was_said(exact, size):
     assert model.random is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("angular", [0.0, 1.5e-5])
 def test_what_the_readings_tell_of_the_size(exact, angular):
     found = [build(exact(seed, noise=1.0, angular=angular, repeats=2).session).spread.posterior for seed in range(4)]

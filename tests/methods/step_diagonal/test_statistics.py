@@ -73,6 +73,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_small_angles_keep_the_uncertainties_honest(exact, truth, many, case):
     """From machines without any angular errors to those of a common machining centre."""

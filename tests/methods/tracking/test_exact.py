@@ -131,6 +131,7 @@ def test_p_values_are_uniform(runs):
     assert stats.kstest(runs[4], "uniform").pvalue > 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_rigid_body(dimension, simulated, truth, scores, many):
     errors, uncertainties, p = [], [], []
@@ -167,6 +168,7 @@ def test_parameters_of_effects(effect, size, simulated, many, reproducible):
     assert abs(np.mean(scores)) < 4 / np.sqrt(count)
 
 
+@pytest.mark.long
 def test_a_missing_tenth_costs_uncertainty_but_no_honesty(simulated, truth, many):
     squares, wider = [], []
     some = many.part(0.5)

@@ -55,6 +55,7 @@ def test_radial_error_motion_moves_no_centre_of_a_full_turn() -> None:
     assert found.contributions["radial error motion of the axis"].max() < 1e-12
 
 
+@pytest.mark.long
 def test_half_a_turn_takes_radial_error_motion_for_eccentricity_and_says_so(many: Any) -> None:
     rng = np.random.default_rng(5)
     half = np.linspace(0.0, np.pi, 73)
