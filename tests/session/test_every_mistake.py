@@ -284,7 +284,14 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
 }
 
 
-@pytest.mark.parametrize(("preset", "name"), [(preset, name) for preset, cases in DAMAGED.items() for name in cases])
+def case(preset: str, name: str) -> Any:
+    """Targets far off are looked for from many starts."""
+    return pytest.param(preset, name, marks=[pytest.mark.long] if "metres" in name else [])
+
+
+@pytest.mark.parametrize(
+    ("preset", "name"), [case(preset, name) for preset, cases in DAMAGED.items() for name in cases]
+)
 def test_damage_is_named(preset: str, name: str) -> None:
     damage, expected = DAMAGED[preset][name]
     session = damage(measured(preset))
