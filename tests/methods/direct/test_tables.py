@@ -114,6 +114,17 @@ def test_nodes_are_the_positions_or_some_of_them() -> None:
 ALL = ("EXX", "EYX", "EXY", "EYY", "C0Y")
 
 
+def test_few_scattered_places_have_coarse_tables_of_two_axes(direct: SimpleNamespace) -> None:
+    """Four tables of the 14 places themselves, fewer than 21 nodes, have more unknowns than 28 readings, too."""
+    rng = np.random.default_rng(2)
+    position = np.repeat(np.c_[rng.uniform(0.0, 1.0, (14, 2)), np.zeros(14)], 2, axis=0)
+    direction = np.tile(np.eye(3)[:2], (14, 1))
+    read = 1e-3 * position[:, 0] * direction[:, 1] + rng.normal(scale=5e-6, size=28)
+    found = identify(direct.written(position, direction, read, terms=["EXX", "EXY", "EYX", "EYY"], sigma=5e-6))
+    assert {len(table["value"]) for table in found.error_map.content["tables"].values()} == {5}
+    assert found.rms_residual < 1e-5
+
+
 def test_few_scattered_places_have_coarse_tables_of_three_axes(direct: SimpleNamespace) -> None:
     """Nine tables of 21 nodes have more unknowns than 49 places have readings."""
     rng = np.random.default_rng(6)

@@ -124,7 +124,7 @@ def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Ar
     as many of them as `many`, spread evenly, so that every node is at a reading.
     """
     nodes = distinct_nodes(positions)
-    most = _MOST_NODES if count >= 2 * len(nodes) else _NODES_OF_MANY
+    most = _MOST_NODES if count >= 2 * len(nodes) else many
     return nodes if len(nodes) <= most else thinned(nodes, many)
 
 
@@ -148,7 +148,9 @@ def asked_tables(
                 raise ModelError(f"terms names {name!r}, but the chain has no linear axis {axis}")
     axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
     many, count = _NODES_OF_MANY, count or len(position)
-    if len(axes) * many >= count:  # too many for scattered places that were read once: two readings for a node
+    along = {axis: position[:, "XYZ".index(axis)] for axis in axes}
+    # too many for scattered places that were read once: two readings for a node
+    if sum(min(len(distinct_nodes(along[axis])), many) for axis in axes) >= count:
         many = max(_NODES_OF_FEW, count // (2 * len(axes)))
     tables = []
     for name in terms:
@@ -156,9 +158,7 @@ def asked_tables(
             tables.append(MachineTable(chain, name))
             continue
         axis = parse_motion(name).axis
-        tables.append(
-            MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], count / axes.count(axis), many))
-        )
+        tables.append(MachineTable(chain, name, nodes_from(along[axis], count / axes.count(axis), many)))
     return tuple(tables)
 
 
