@@ -72,6 +72,12 @@ def first_of_group(*keys: npt.NDArray[Any]) -> IntArray:
     return np.asarray(np.unique(number, return_index=True)[1][number])
 
 
+def unsigned(direction: Array) -> Array:
+    """Directions (n, 3) with a positive largest component: what is read along either sense is one deviation."""
+    largest = np.abs(direction).argmax(axis=1)[:, None]
+    return np.asarray(direction * np.sign(np.take_along_axis(direction, largest, axis=1)))
+
+
 def in_order_of_appearance(values: IntArray) -> IntArray:
     """(n,) number of each value, from 0, in the order in which values come first."""
     _, first, number = np.unique(values, return_index=True, return_inverse=True)

@@ -200,22 +200,28 @@ def test_a_place_that_is_lost_is_said() -> None:
     assert identify(session).not_determined == identify(wrong, keep_all=True).not_determined
 
 
-def test_a_place_that_other_setups_read_is_not_lost() -> None:
-    """A straightness measured once in each of several mountings."""
+@pytest.mark.parametrize("reversed_", [False, True])
+def test_a_place_that_other_setups_read_is_not_lost(reversed_: bool) -> None:
+    """A straightness measured once in each of several mountings; all but one of them read it from the other side."""
     plan = PRESETS["straightness"].model_copy(update={"repeats": 8})
     session = simulate(SimulationSpec(plan=plan, seed=5)).session
     readings, names = session.readings, [f"m{k}" for k in range(8)]
     setups = tuple(session.description.setups[0].model_copy(update={"id": name}) for name in names)
     displacement = readings.displacement.copy()
     displacement[4] += 3e-4
+    side = np.where(reversed_ & (readings.repeat > 0), -1.0, 1.0)
+    readings = replace(readings, columns={**readings.columns, "gy": side * readings.columns["gy"]})
+    displacement *= side
     mounted = replace(
         session,
         description=session.description.model_copy(update={"setups": setups, "repeats": 1, "datum": "offset"}),
         readings=replace(readings, setup=readings.repeat, repeat=0 * readings.repeat, displacement=displacement),
     )
-    rejected = identify(mounted).rejected
+    found = identify(mounted)
+    rejected = found.rejected
     assert [r.row for r in rejected] == [4]
     assert "no other reading of its place" not in rejected[0].reason
+    assert not any("no reading of it is left" in one.why for one in found.not_determined)
 
 
 def test_a_run_on_another_zero_loses_no_reading(tmp_path: Path) -> None:

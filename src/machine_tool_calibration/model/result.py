@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups, rms
+from machine_tool_calibration.arrays import Array, groups, rms, unsigned
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
@@ -291,7 +291,7 @@ def _lost_places(session: Session) -> list[NotDetermined]:
     readings = session.readings
     if not spec_of(session).reads_machine or "gx" not in readings.columns:
         return []
-    direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
+    direction = unsigned(np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")]))
     place = groups(*np.round(1e9 * readings.position().T), *np.round(1e6 * direction.T))
     left = np.bincount(place, np.isfinite(readings.displacement))
     first = np.sort(np.unique(place, return_index=True)[1][left == 0])

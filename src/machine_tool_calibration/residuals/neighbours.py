@@ -3,17 +3,19 @@
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, unsigned
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.session.session import Readings
 
 
 def same_place(readings: Readings, *, any_setup: bool = False) -> IntArray:
-    """(n,) index shared by readings that repeat each other, whatever the direction of approach (and the setup)."""
+    """(n,) index shared by readings that repeat each other, however approached (and mounted, or from which side)."""
     places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
-    senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
+    senses = np.array([readings.columns[a] for a in ("gx", "gy", "gz") if a in readings.columns])
+    if any_setup and len(senses):
+        senses = unsigned(senses.T).T
     setup = [] if any_setup else [readings.setup]
-    return groups(*setup, *places, *senses, *readings.labels.values())
+    return groups(*setup, *places, *np.round(senses * 1e6), *readings.labels.values())
 
 
 class Neighbours:
