@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, peaks
+from machine_tool_calibration.arrays import Array, IntArray, groups, occurrence, peaks
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
@@ -339,6 +339,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     if observations.timed and _AIR in out:
         # What drives gradients in the frame; temperatures of the structure follow.
         out[f"rate of {_AIR}"] = _rate(observations.clock, out[_AIR])
+    run = groups(observations.readings.setup, observations.readings.repeat)
+    if run.max(initial=0) > 0:  # what settles after each start
+        out["order within the run"] = occurrence(run).astype(float)
     if "path" in out:
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
