@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import machine_tool_calibration as mtcal
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
@@ -55,6 +56,25 @@ def test_the_way_back_to_the_beginning_of_the_next_repeat_is_no_pass(tmp_path: P
     (family,) = reproducibility(build_model(read_session(tmp_path))[0].observations)
     assert family.name == "pass"
     assert family.group.tolist() == np.repeat(np.arange(4), 6).tolist()
+
+
+@pytest.mark.parametrize("both_ways", [True, False])
+def test_runs_over_an_axis_that_begin_elsewhere_hide_no_reversal(tmp_path: Path, both_ways: bool) -> None:
+    """Both passes of a run are off by the same: what lies between them is the same in every run."""
+    rng = np.random.default_rng(3)
+    places = np.linspace(0.0, 0.5, 9)
+    lines = ["setup,repeat,x,dir_x,gx,gy,gz,displacement"]
+    for run, offset in enumerate(rng.normal(scale=2e-6, size=6)):
+        for way in (1, -1)[: 1 + both_ways]:
+            read = offset - 1e-6 * way + 1e-6 * rng.normal(size=9)
+            lines += [f"A,{run},{x:.4f},{way},1,0,0,{value:.9f}" for x, value in zip(places[::way], read, strict=True)]
+    (tmp_path / "session.yaml").write_text(HEAD.replace("repeats: 2", "repeats: 6"), encoding="utf-8")
+    (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    session = read_session(tmp_path)
+    families = reproducibility(build_model(session)[0].observations)
+    assert [family.name for family in families] == ["run", "pass"][: 1 + both_ways]
+    if both_ways:
+        assert mtcal.identify(session).diagnose().effects == ("backlash_x",)
 
 
 @pytest.mark.parametrize(("runs", "told"), [(1, False), (2, True), (3, True), (5, True)])

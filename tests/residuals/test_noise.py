@@ -237,8 +237,7 @@ def test_a_run_on_another_zero_loses_no_reading(tmp_path: Path) -> None:
     (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     session = read_session(tmp_path)
     assert found_in(session) == []
-    (spread,) = identify(session).document()["spread"]
-    assert spread["size"] > 5e-6
+    assert max(spread["size"] for spread in identify(session).document()["spread"]) > 5e-6
 
 
 @pytest.mark.long

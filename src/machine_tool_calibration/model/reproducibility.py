@@ -113,7 +113,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     """Families of what does not reproduce: at most three.
 
     Runs (a setup in one repeat, for one target) and mountings (a stretch of consecutive readings of one setup), which
-    are one family where they are the same. Of direct deviations the passes over a single axis; of a plate its runs, and
+    are one family where they are the same. Of direct deviations runs and passes over one axis; of a plate its runs, and
     the rows and columns of a grid of holes that were drilled one after the other.
     """
     if spec_of(observations.session).reads_machine:
@@ -211,11 +211,12 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
             yield Family("run", run, _smooth(observations, run))
         yield from _rows(observations, moved)
         return
-    for name, group in (("run", observations.run), *((("pass", _passes(observations, moved[0])),) if moved else ())):
-        group = in_order_of_appearance(group)
+    # Both passes of a run share what came over the axis before it, and a reversal shows between them.
+    run = in_order_of_appearance(groups(observations.readings.setup, observations.readings.repeat))
+    ways = in_order_of_appearance(_passes(observations, moved[0])) if moved else run
+    for name, group in (("run", run), *((("pass", ways),) if not np.array_equal(ways, run) else ())):
         if int(group.max(initial=-1)) + 1 >= priors.SEVERAL_RUNS:
             yield Family(name, group, _smooth(observations, group))
-            return
 
 
 def _tell(place: IntArray, run: IntArray) -> bool:
