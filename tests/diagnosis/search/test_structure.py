@@ -225,3 +225,29 @@ def test_places_differ_from_each_other_where_they_are_neither_few_nor_many(place
     assert found.shape == (forms, 4 * places)
     # Nothing of a smooth lost motion is in it.
     np.testing.assert_allclose(found @ np.polynomial.legendre.legvander(scaled, 7), 0.0, atol=1e-9)
+
+
+def test_what_settles_after_each_start_depends_on_the_order_within_the_run() -> None:
+    """A balance that is at rest between runs: each begins too high, at whatever time."""
+    rng = np.random.default_rng(4)
+    number = np.tile(np.arange(12.0), 6)
+    columns = {key: np.zeros(72) for key in ("y", "z", "gy", "gz")} | {"gx": np.ones(72), "x": 0.1 * (number % 3)}
+    start, pace = np.repeat([np.cumsum(rng.uniform(300.0, 900.0, 6)), rng.uniform(5.0, 20.0, 6)], 12, axis=1)
+    columns["time"] = start + pace * number
+    columns["displacement"] = 5e-5 * np.exp(-number / 1.5) + 3e-6 * rng.normal(size=72)
+    setup = np.repeat(np.arange(6), 12)
+    found = diagnose(plates.session(columns, 3e-6, "offset", ("EXX",), None, *"ABCDEF", setup=setup))
+    assert found.accepted == ()
+    assert found.left[0].covariate == "order within the run"
+
+
+def test_parts_that_bend_are_no_wave_of_the_order() -> None:
+    """Eight traces along one axis, by turns from either side: the bend of the part is a wave of two traces."""
+    rng = np.random.default_rng(4)
+    z = np.tile(np.linspace(0.0, 0.03, 34), 8)
+    side = np.repeat(np.tile([1.0, -1.0], 4), 34)
+    columns = {key: np.zeros(272) for key in ("x", "y", "gy", "gz")} | {"gx": np.ones(272), "z": z}
+    columns["displacement"] = 1e-6 * side * (z / 0.015 - 1.0) ** 2 + 1e-7 * rng.normal(size=272)
+    setup = np.repeat(np.arange(8), 34)
+    found = diagnose(plates.session(columns, 1e-7, "rigid", ("EXZ",), None, *"ABCDEFGH", setup=setup))
+    assert (found.left[0].covariate, found.left[0].shape) == ("setup", say("shape.bends"))

@@ -193,9 +193,11 @@ def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, A
     if not spec_of(observations.session).reads_machine or not 2 <= len(own) <= _MOST_SETUPS:
         return
     directions = [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
-    slopes = [own * u * d for u in _positions(observations).values() for d in directions]
-    if slopes:  # none where all was read in one place
-        yield named("column", "setup"), say("shape.slopes"), np.concatenate(slopes)
+    for shape, k in (("slopes", 0), ("bends", 1)):
+        functions = [_smooth(u)[k : k + 1] for u in _positions(observations).values()]
+        columns = [own * f * d for function in functions for f in function for d in directions]
+        if columns:  # none where all was read in one place, or two
+            yield named("column", "setup"), say(f"shape.{shape}"), np.concatenate(columns)
 
 
 def _zones(observations: Observations, explained: _Explained) -> Iterator[Candidate]:
@@ -255,8 +257,10 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
         steps = tuple(ShapedColumns((moment,), of(moment)) for moment in moments)
         yield _structure(covariate, say(shape, at=""), steps, len(time))
     length, highest = float(np.ptp(time)), _samples(time) / 2.0
+    # Where only the order is known, what is slower than a run over places is a function of the run and the place.
+    least = 0 if observations.timed or not observations.moves else 1 + int(_run(observations).max(initial=0))
     for lowest, end in _BANDS:
-        frequency = _frequencies(lowest, min(end, highest)) / length
+        frequency = _frequencies(max(lowest, least), min(end, highest)) / length
         if len(frequency):
             yield from _waves(covariate, time, frequency, explained(partial(_wave, time), frequency))
     frequency = _frequencies(_BANDS[-1][1], highest)[:_MOST_FREQUENCIES] / length
@@ -339,8 +343,7 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     if observations.timed and _AIR in out:
         # What drives gradients in the frame; temperatures of the structure follow.
         out[f"rate of {_AIR}"] = _rate(observations.clock, out[_AIR])
-    run = groups(observations.readings.setup, observations.readings.repeat)
-    if run.max(initial=0) > 0:  # what settles after each start
+    if (run := _run(observations)).max(initial=0) > 0:  # what settles after each start
         out["order within the run"] = occurrence(run).astype(float)
     if "path" in out:
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
@@ -348,6 +351,10 @@ def _covariates(observations: Observations) -> dict[str, Array]:
             # There the reading is the deviation itself, which explains itself.
             out["displacement"] = observations.readings.displacement
     return out
+
+
+def _run(observations: Observations) -> IntArray:
+    return groups(observations.readings.setup, observations.readings.repeat)
 
 
 def _rate(time: Array, values: Array) -> Array:
