@@ -17,6 +17,8 @@ HALF_WIDTHS: dict[str, float] = {"rectangular": 3.0**0.5, "triangular": 6.0**0.5
 
 _LARGEST_CODE = 2**62  # of a group's keys: below what an int64 holds
 
+_NO_RANGE = 1e-12  # of values that are equal but for rounding, m or s
+
 
 def standard_draws(distribution: str, rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
     """Independent values, `normal` or by one of `HALF_WIDTHS`, with mean 0 and standard deviation 1 (JCGM 101, 6.4)."""
@@ -108,6 +110,14 @@ def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Arr
     low[there], high[there] = ordered[start], ordered[start + many - 1]
     median[there] = 0.5 * (ordered[start + (many - 1) // 2] + ordered[start + many // 2])
     return low, median, high
+
+
+def within(values: Array, group: IntArray) -> Array:
+    """Values (n,) from -1 to 1 over the range of their group; 0 where it has none."""
+    low, _, high = group_ranges(values, group, int(group.max(initial=-1)) + 1)
+    half = 0.5 * (high - low)[group]
+    flat = ~(half > _NO_RANGE)
+    return np.where(flat, 0.0, (values - low[group]) / np.where(flat, 1.0, half) - 1.0)
 
 
 def peaks(values: Array) -> IntArray:

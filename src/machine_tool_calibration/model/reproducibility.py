@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance, within
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.imperfection import scaled_values
@@ -35,7 +35,7 @@ class Family:
     """Groups of readings that have a random function each, all of one size."""
 
     name: str  # run, mounting, pass, or rows of equal x
-    group: IntArray  # (n,) index of the group of each reading, from 0; -1 for a reading of none
+    group: IntArray  # (n,) index of the group of each reading, from 0
     shapes: Array  # (d, n) values of the group's d functions, of a size of about 1
     offset: bool = True  # whether the first function is one
 
@@ -53,8 +53,7 @@ class Family:
         """(count d, n) the functions of every group, group after group."""
         d, n = self.shapes.shape
         out = np.zeros((self.count, d, n))
-        there = np.flatnonzero(self.group >= 0)
-        out[self.group[there], :, there] = self.shapes[:, there].T
+        out[self.group, :, np.arange(n)] = self.shapes.T
         return out.reshape(-1, n)
 
     @property
@@ -185,18 +184,12 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
     """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded."""
     time, weights = observations.clock, np.array(priors.SERIES if observations.timed else priors.SERIES[:1])
     out = np.zeros((len(weights), len(time)))
-    count = int(group.max(initial=-1)) + 1
-    size = np.bincount(group[group >= 0], minlength=count)
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(low, group, time)
-    np.maximum.at(high, group, time)
-    half = (high - low) / 2.0
-    flat = half <= 0
-    scaled = np.where(flat[group], 0.0, (time - low[group]) / np.where(flat, 1.0, half)[group] - 1.0)
+    size, scaled = np.bincount(group), within(time, group)
+    flat = (np.bincount(group, np.abs(scaled)) == 0)[group]
     series = np.polynomial.legendre.legvander(scaled, len(weights) - 1).T * weights[:, None]
     for degree in range(len(weights)):
-        determined = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
-        out[degree] = np.where(determined[group], series[degree], 0.0)
+        determined = (size >= max(_FOR_A_DEGREE * degree, 2))[group] & (~flat | (degree == 0))
+        out[degree] = np.where(determined, series[degree], 0.0)
     return out
 
 

@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, occurrence, peaks
+from machine_tool_calibration.arrays import Array, IntArray, groups, occurrence, peaks, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
@@ -258,7 +258,8 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
         yield _structure(covariate, say(shape, at=""), steps, len(time))
     length, highest = float(np.ptp(time)), _samples(time) / 2.0
     # Where only the order is known, what is slower than a run over places is a function of the run and the place.
-    least = 0 if observations.timed or not observations.moves else 1 + int(_run(observations).max(initial=0))
+    run = groups(observations.readings.setup, observations.readings.repeat)
+    least = 0 if observations.timed or not observations.moves else 1 + int(run.max())
     for lowest, end in _BANDS:
         frequency = _frequencies(max(lowest, least), min(end, highest)) / length
         if len(frequency):
@@ -343,34 +344,21 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     if observations.timed and _AIR in out:
         # What drives gradients in the frame; temperatures of the structure follow.
         out[f"rate of {_AIR}"] = _rate(observations.clock, out[_AIR])
-    if (run := _run(observations)).max(initial=0) > 0:  # what settles after each start
+    run = groups(observations.readings.setup, observations.readings.repeat)
+    if run.max(initial=0) > 0:  # what settles after each start
         out["order within the run"] = occurrence(run).astype(float)
     if "path" in out:
-        out["path within the setup"] = _within(observations.path, observations.readings.setup)
+        out["path within the setup"] = within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
             # There the reading is the deviation itself, which explains itself.
             out["displacement"] = observations.readings.displacement
     return out
 
 
-def _run(observations: Observations) -> IntArray:
-    return groups(observations.readings.setup, observations.readings.repeat)
-
-
 def _rate(time: Array, values: Array) -> Array:
     """Of change, where readings of one moment have the same value."""
     moments, first, place = np.unique(time, return_index=True, return_inverse=True)
     return np.asarray(np.gradient(values[first], moments)[place] if len(moments) > 1 else np.zeros(len(time)))
-
-
-def _within(values: Array, group: IntArray) -> Array:
-    """Values from -1 to 1 over the range of their group."""
-    out = np.zeros(len(values))
-    for g in np.unique(group):
-        scaled = scaled_values(values[group == g])
-        if scaled is not None:
-            out[group == g] = scaled
-    return out
 
 
 def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) -> Array:
