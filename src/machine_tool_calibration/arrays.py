@@ -16,7 +16,6 @@ HALF_WIDTHS: dict[str, float] = {"rectangular": 3.0**0.5, "triangular": 6.0**0.5
 """Half width over standard deviation of the distributions that have ends."""
 
 _LARGEST_CODE = 2**62  # of a group's keys: below what an int64 holds
-
 _NO_RANGE = 1e-12  # of values that are equal but for rounding, m or s
 
 

@@ -183,14 +183,11 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
 def _smooth(observations: Observations, group: IntArray) -> Array:
     """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded."""
     time, weights = observations.clock, np.array(priors.SERIES if observations.timed else priors.SERIES[:1])
-    out = np.zeros((len(weights), len(time)))
-    size, scaled = np.bincount(group), within(time, group)
+    scaled, degree = within(time, group), np.arange(len(weights))[:, None]
     flat = (np.bincount(group, np.abs(scaled)) == 0)[group]
     series = np.polynomial.legendre.legvander(scaled, len(weights) - 1).T * weights[:, None]
-    for degree in range(len(weights)):
-        determined = (size >= max(_FOR_A_DEGREE * degree, 2))[group] & (~flat | (degree == 0))
-        out[degree] = np.where(determined, series[degree], 0.0)
-    return out
+    determined = (np.bincount(group)[group] >= np.maximum(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
+    return np.where(determined, series, 0.0)
 
 
 def _of_direct(observations: Observations) -> Iterator[Family]:
@@ -207,8 +204,8 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
     run = in_order_of_appearance(groups(readings.setup, readings.repeat) if moved else observations.run)
     ways = in_order_of_appearance(_passes(observations, moved[0])) if moved else run
-    for name, group in (("run", run), *((("pass", ways),) if not np.array_equal(ways, run) else ())):
-        if int(group.max(initial=-1)) + 1 >= priors.SEVERAL_RUNS:
+    for name, group in (("run", run), ("pass", ways)):
+        if group.max(initial=-1) + 1 >= priors.SEVERAL_RUNS and (name == "run" or (group != run).any()):
             yield Family(name, group, _smooth(observations, group))
 
 
