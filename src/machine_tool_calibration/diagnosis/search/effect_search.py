@@ -35,8 +35,6 @@ from machine_tool_calibration.words import say
 _ROUNDING = 1e-6
 # Effects whose laws are tried with their tolerances in any case.
 _BEST = 6
-
-
 # Memories of the noise that are tried at most; share by which they are the same.
 _MEMORIES, _SAME_MEMORY = 6, 0.1
 

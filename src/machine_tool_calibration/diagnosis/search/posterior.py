@@ -24,9 +24,9 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 # more of them the probabilities of effects change in the third figure, and the search takes twice as long. In a first
 # look, after which all is looked for again, more are, which takes a third of the time.
 _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
-# Best sets that are grown; pairs that are grown although neither leads by itself; members at most, and where the
-# machine itself is read, which holds many small errors side by side.
-_GROWN, _PAIRS = 6, 4
+# Best sets that are grown (in a first look, which exchanges no members either, fewer); pairs that are although neither
+# leads by itself; members at most, and where the machine itself is read, which holds many small errors side by side.
+_GROWN, _GROWN_AT_FIRST, _PAIRS = 6, 2, 4
 _MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
 # Logarithm of the odds to the best below which a set is not grown.
 _HOPELESS = -7.0
@@ -204,22 +204,23 @@ def search(
         side_by_side: whether many effects are expected at once: the machine itself is read.
         pairs_among: candidates of which all pairs are tried.
         exclusive: pairs of candidates of which one is a special case of the other: no set holds both.
-        at_first: whether this is a first look, with fewer sizes of what does not reproduce.
+        at_first: whether this is a first look, with fewer sizes of what does not reproduce and fewer sets.
     """
-    prepared, share = batches(gram, blocks), _COUNTS_AT_FIRST if at_first else _COUNTS
+    share, grown = (_COUNTS_AT_FIRST, _GROWN_AT_FIRST) if at_first else (_COUNTS, _GROWN)
+    prepared = batches(gram, blocks)
     work = _Search(blocks, prepared, log_odds, _probable_marginals(gram, blocks, prepared, log_odds, share), exclusive)
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
         for k, point in pair.items():
             work.grow({k: point})
-    most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST_MEMBERS, _GROWN)
+    most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST_MEMBERS, grown)
     done, exchanged = {frozenset[int]()}, set[frozenset[int]]()
     while True:
         ranked = sorted(work.found, key=lambda key: -work.found[key][0])
         least = work.found[ranked[0]][0] + _HOPELESS
         ready = [k for k in ranked[:width] if k not in done and len(k) < most and work.found[k][0] > least]
-        if not ready and ranked[0] in exchanged:
+        if not ready and (at_first or ranked[0] in exchanged):
             break
         if not ready:
             exchanged.add(ranked[0])
