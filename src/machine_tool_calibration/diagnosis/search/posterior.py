@@ -24,7 +24,7 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 # more of them the probabilities of effects change in the third figure, and the search takes twice as long. In a first
 # look, after which all is looked for again, more are, which takes a third of the time.
 _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
-# Best sets that are grown (in a first look, which exchanges no members either, fewer); pairs that are although neither
+# Best sets that are grown (in a first look, which exchanges members where many are expected alone, fewer); pairs that are although neither
 # leads by itself; members at most, and where the machine itself is read, which holds many small errors side by side.
 _GROWN, _GROWN_AT_FIRST, _PAIRS = 6, 2, 4
 _MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
@@ -220,7 +220,7 @@ def search(
         ranked = sorted(work.found, key=lambda key: -work.found[key][0])
         least = work.found[ranked[0]][0] + _HOPELESS
         ready = [k for k in ranked[:width] if k not in done and len(k) < most and work.found[k][0] > least]
-        if not ready and (at_first or ranked[0] in exchanged):
+        if not ready and (ranked[0] in exchanged or (at_first and not side_by_side)):
             break
         if not ready:
             exchanged.add(ranked[0])
