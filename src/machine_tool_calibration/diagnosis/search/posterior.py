@@ -24,8 +24,8 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 # more of them the probabilities of effects change in the third figure, and the search takes twice as long. In a first
 # look, after which all is looked for again, more are, which takes a third of the time.
 _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
-# Best sets that are grown (in a first look, which exchanges members where many are expected alone, fewer); pairs that are although neither
-# leads by itself; members at most, and where the machine itself is read, which holds many small errors side by side.
+# Best sets that are grown, and at first, where members are exchanged only if many are expected; pairs that are although
+# neither leads by itself; members at most, and where the machine itself is read, which holds many errors side by side.
 _GROWN, _GROWN_AT_FIRST, _PAIRS = 6, 2, 4
 _MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
 # Logarithm of the odds to the best below which a set is not grown.
