@@ -102,7 +102,7 @@ def test_ci_runs_the_command_of_the_readme() -> None:
 GUIDES = sorted((ROOT / "docs" / "guides").glob("*.md"))
 
 
-@pytest.mark.long(but=("index", "iso230_2", "probing"))
+@pytest.mark.long(but=("index",))
 @pytest.mark.usefixtures("rough_pictures", "found_once")
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda guide: guide.stem)
 def test_a_guide_runs_from_top_to_bottom(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

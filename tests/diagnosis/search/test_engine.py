@@ -66,6 +66,7 @@ def test_slopes_and_bows_of_four_mountings_are_seldom_the_drift_of_a_station() -
     assert sum(each.verdict != "adequate" for each in found) <= 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("plan", "effect", "amplitude"), [("tracking_2d", "backlash_y", 1.5e-6), ("probing_cross", "probe_pretravel", 6e-6)]
 )
