@@ -194,15 +194,14 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     """Runs and passes over a single axis; rows and columns of a grid; otherwise runs."""
     position = observations.position
     moved = [j for j in range(3) if np.ptp(position[:, j]) > SAME_POSITION] if len(position) else []
-    readings = observations.readings
+    run = groups(observations.readings.setup, observations.readings.repeat)
     if len(moved) >= 2:
-        run = groups(readings.setup, readings.repeat)
         if _tell(observations.place, run):
             yield Family("run", run, _smooth(observations, run))
         yield from _rows(observations, moved)
         return
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
-    run = in_order_of_appearance(groups(readings.setup, readings.repeat) if moved else observations.run)
+    run = in_order_of_appearance(run if moved else observations.run)
     ways = in_order_of_appearance(_passes(observations, moved[0])) if moved else run
     for name, group in (("run", run), ("pass", ways)):
         if group.max(initial=-1) + 1 >= priors.SEVERAL_RUNS and (name == "run" or (group != run).any()):
