@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 from scipy.special import gammaln, softmax
 
@@ -91,14 +92,17 @@ class Gram:
 
 @dataclass(frozen=True)
 class Marginal:
-    """Inner products for one size of what does not reproduce: X^T V^-1 Y = (those before) - half_X^T half_Y."""
+    """Inner products where what does not reproduce has a size: X^T V^-1 Y = (those before) - half_X^T half_Y.
+
+    At one size of each family, or at s choices of them side by side: all arrays have a leading axis of these then.
+    """
 
     before: Gram | Marginal  # those without the columns that were folded in last
-    # these sizes, in units of the noise; of the last families, whose sizes are given, in their own
-    ratio: tuple[float, ...]
-    log_prior: float  # of these sizes, and the determinant that they cost
-    half: Array  # (u', K) of u' columns that were folded in
-    half_data: Array  # (u',)
+    # ([s,] families) sizes, in units of the noise; of the last families, whose sizes are given, in their own
+    ratio: Array
+    log_prior: Array  # ([s]) of these sizes, and the determinant that they cost
+    half: Array  # ([s,] u', K) of u' columns that were folded in
+    half_data: Array  # ([s,] u')
     _own: dict[bytes, Array] = field(default_factory=dict, compare=False)  # see `own`
 
     @cached_property
@@ -108,58 +112,67 @@ class Marginal:
 
     @property
     def tau(self) -> Array:
-        """(u,) size of each of the spread's columns."""
-        return np.array(self.ratio)[self.gram.family] if self.ratio else np.zeros(len(self.gram.family))
+        """([s,] u) size of each of the spread's columns."""
+        return self.ratio[..., self.gram.family]
 
     def inner(self, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
-        """Inner products of columns."""
-        before = (
-            self.before.inner(left, right) if isinstance(self.before, Marginal) else self.before.inner[left][:, right]
-        )
-        return before - self.half[:, left].T @ self.half[:, right] if len(self.half) else before
+        """([s,] left, right) inner products of columns; without s where nothing is folded in."""
+        before = self.before
+        inner = before.inner(left, right) if isinstance(before, Marginal) else before.inner[left][:, right]
+        if not self.half.shape[-2]:
+            return inner
+        return np.asarray(inner - self.half[..., left].swapaxes(-1, -2) @ self.half[..., right])
 
     def own(self, columns: IntArray) -> Array:
-        """(blocks, k, k) inner products of the columns (blocks, k) of each block; kept, as all sets ask for them."""
+        """([s,] blocks, k, k) inner products of the columns (blocks, k) of each block; kept, as all sets ask for them.
+
+        Without s where nothing is folded in.
+        """
         key = columns.tobytes()
         if key not in self._own:
-            if isinstance(self.before, Marginal):
-                before = self.before.own(columns)
-            else:
-                before = self.before.inner[columns[:, :, None], columns[:, None, :]]
-            half = self.half[:, columns.reshape(-1)].reshape(-1, *columns.shape).transpose(1, 2, 0)
-            self._own[key] = before - half @ half.swapaxes(1, 2) if len(self.half) else before
+            before = self.before
+            own = (
+                before.own(columns)
+                if isinstance(before, Marginal)
+                else before.inner[columns[:, :, None], columns[:, None, :]]
+            )
+            half = np.moveaxis(self.half[..., columns], -3, -1)
+            self._own[key] = own - half @ half.swapaxes(-1, -2) if half.shape[-1] else own
         return self._own[key]
 
     @cached_property
     def data(self) -> Array:
-        """(K,) inner products of all columns with the data."""
-        return np.asarray(self.before.data - self.half_data @ self.half)
+        """([s,] K) inner products of all columns with the data."""
+        return np.asarray(self.before.data - (self.half_data[..., None, :] @ self.half)[..., 0, :])
 
     @cached_property
-    def squares(self) -> float:
-        """Squared norm of the data."""
-        left = self.before.squares - float(self.half_data @ self.half_data)
-        return max(left, NOTHING * self.gram.squares)
+    def squares(self) -> Array:
+        """([s]) squared norm of the data."""
+        left = self.before.squares - np.sum(self.half_data**2, axis=-1)
+        return np.asarray(np.maximum(left, NOTHING * self.gram.squares))
 
     @property
-    def log_null(self) -> float:
-        """Logarithm of the evidence without any candidate."""
-        return self.log_prior + float(self.gram.log_likelihood(self.squares))
+    def log_null(self) -> Array:
+        """([s]) logarithm of the evidence without any candidate."""
+        return np.asarray(self.log_prior + self.gram.log_likelihood(self.squares))
 
     def log_null_with(self, columns: IntArray, scale: Array) -> float:
-        """What `log_null` is with columns of given scales folded in, without folding them in."""
+        """What `log_null` is with columns of given scales is, at one choice of sizes, without folding them in."""
         lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
         explained = _below(lower, scale * self.data[columns])
-        left = max(self.squares - float(explained @ explained), NOTHING * self.gram.squares)
-        return self.log_prior - float(np.log(np.diag(lower)).sum()) + float(self.gram.log_likelihood(left))
+        left = np.maximum(self.squares - explained @ explained, NOTHING * self.gram.squares)
+        return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left))
 
     def with_columns(self, columns: IntArray, scale: Array) -> Marginal:
-        """With columns of given scales (standard deviations of their coefficients) folded in as well."""
-        inner = self.inner(columns, slice(None))
-        lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
-        half = _below(lower, scale[:, None] * np.column_stack([inner, self.data[columns]]))
-        log_prior = self.log_prior - float(np.log(np.diag(lower)).sum())
-        return Marginal(self, self.ratio, log_prior, half[:, :-1], half[:, -1])
+        """With columns of given scales ([s,] k), the standard deviations of their coefficients, folded in as well."""
+        if not len(columns):
+            return self
+        inner, scale = self.inner(columns, slice(None)), np.broadcast_to(scale, (*self.log_prior.shape, len(columns)))
+        lower = _factor_of_sum(inner[..., columns] * scale[..., :, None] * scale[..., None, :])
+        half = _below(lower, scale[..., None] * inner)
+        half_data = _below(lower, scale * self.data[..., columns])
+        log_prior = self.log_prior - np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
+        return Marginal(self, self.ratio, log_prior, half, half_data)
 
 
 def log_noise(squares: Array | float, dof: float) -> Array:
@@ -277,11 +290,20 @@ def _with(place: tuple[int, ...], axis: int, at: int) -> tuple[int, ...]:
     return (*place[:axis], at, *place[axis + 1 :])
 
 
-def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Marginal:
-    """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros(0))
-    used = np.flatnonzero(plain.tau)
-    return plain.with_columns(gram.spread[used], plain.tau[used])
+def marginal_at(gram: Gram, ratio: ArrayLike, log_prior: ArrayLike = 0.0) -> Marginal:
+    """That of one size of each family, in units of the noise, with the logarithm of its prior.
+
+    Args:
+        gram: inner products where all reproduces.
+        ratio: ([s,] families).
+        log_prior: ([s]).
+    """
+    ratio, several = np.asarray(ratio, dtype=np.float64), np.shape(ratio)[:-1]
+    nothing = np.zeros((*several, 0, len(gram.inner)))
+    log_prior = np.broadcast_to(np.asarray(log_prior, dtype=np.float64), several)
+    plain = Marginal(gram, ratio, log_prior, nothing, nothing[..., 0])
+    used = np.flatnonzero(np.atleast_2d(plain.tau).any(axis=0))
+    return plain.with_columns(gram.spread[used], plain.tau[..., used])
 
 
 def left_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> tuple[float, float]:
@@ -296,7 +318,9 @@ def left_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> tuple[f
 
 
 def _below(lower: Array, right: Array) -> Array:
-    """The inverse of a lower factor (n, n) with a regular diagonal times (n,) or (n, k): by substitution alone."""
+    """The inverse of a lower factor with a regular diagonal times (n,) or (n, k): by substitution alone."""
+    if lower.ndim > 2:
+        return np.array([_below(*each) for each in zip(lower, right, strict=True)])
     if not right.size:
         return right
     return np.asarray(lapack.dtrtrs(lower.T, right, lower=0, trans=1)[0], dtype=np.float64)
@@ -304,6 +328,8 @@ def _below(lower: Array, right: Array) -> Array:
 
 def _factor_of_sum(matrix: Array) -> Array:
     """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
+    if matrix.ndim > 2:
+        return np.array([_factor_of_sum(each) for each in matrix])
     unit = np.eye(len(matrix))
     factor, failed = lapack.dpotrf(unit + matrix, lower=1)
     if failed:

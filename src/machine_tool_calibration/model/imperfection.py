@@ -72,8 +72,9 @@ def misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float,
     inner, data = projected[np.ix_(order, order)], projected[order, -1]
     family = np.append(own, np.full(len(order) - len(own), len(ratio)))
     gram = Gram(inner, data, float(projected[-1, -1]), family, dof)
-    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null for s, p in priors.IMPERFECTION_SIZES.items()]
-    return float(np.sqrt(softmax(logs) @ np.square(list(priors.IMPERFECTION_SIZES))))
+    sizes, shares = np.array(list(priors.IMPERFECTION_SIZES.items())).T
+    ratios = np.column_stack([np.tile(ratio, (len(sizes), 1)), sizes])
+    return float(np.sqrt(softmax(marginal_at(gram, ratios, np.log(shares)).log_null) @ sizes**2))
 
 
 def scaled_values(values: Array) -> Array | None:

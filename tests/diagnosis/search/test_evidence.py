@@ -27,9 +27,10 @@ def block(
     return Block(candidate, slice(first, first + k), shaped, np.array(unit), low, high, expected, share)
 
 
-def marginals(gram: Gram) -> list[Marginal]:
-    """One for every size of what does not reproduce."""
-    return [marginal_at(gram, ratio, prior) for ratio, prior, _ in size_grid(gram)]
+def marginals(gram: Gram) -> Marginal:
+    """At every size of what does not reproduce."""
+    ratios, logs, _ = zip(*size_grid(gram), strict=True)
+    return marginal_at(gram, ratios, logs)
 
 
 def scales_of(signal: float) -> np.ndarray:

@@ -8,8 +8,8 @@ from machine_tool_calibration.diagnosis.search.candidates import ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import Block, batches
 from machine_tool_calibration.diagnosis.search.posterior import (
     Posterior,
+    _at_probable_sizes,
     _best_pairs,
-    _probable_marginals,
     _Search,
     search,
 )
@@ -122,7 +122,7 @@ def test_of_all_pairs_those_are_tried_that_leave_least() -> None:
     noise -= columns @ (columns.T @ noise) / 64.0
     gram, blocks, odds = given(columns, noise + columns @ sizes)
     same = batches(gram, blocks)
-    work = _Search(blocks, same, odds, _probable_marginals(gram, blocks, same, odds, 0.01), ())
+    work = _Search(blocks, same, odds, _at_probable_sizes(gram, blocks, same, odds, 0.01), ())
     tried = [set(pair) for pair in _best_pairs(work, work.grow({}), range(10), {})]
     assert tried == [{0, 1}, {0, 2}, {0, 3}, {1, 2}][: len(tried)] and len(tried) > 1
 

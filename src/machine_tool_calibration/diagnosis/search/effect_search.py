@@ -144,7 +144,7 @@ def search_effects(
         accepted=accepted,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         sets=_named_sets(columns, found),
-        spread=dict(zip(columns.pool.spread[2], found.marginals[0].ratio, strict=True)),
+        spread=dict(zip(columns.pool.spread[2], found.marginal.ratio.tolist(), strict=True)),
         variance=found.variance,
         memory=memory,
         signals={columns.candidates[k].name: _signal(columns, found, k) for k in found.best},
@@ -178,7 +178,7 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
         found = _searched(columns, side_by_side, k, at_first=True)
         beside = pool.memory(pool.residuals_beside(_change(columns, found)))
         own, none = beside.log_evidence_of(k), beside.log_evidence_of(1.0)
-        least = found.marginals_with(found.best)[0]
+        least = found.marginal_with(found.best)
         cost = least.gram.log_likelihood(least.squares) - logsumexp(list(found.log_weights.values()))
         # Next: what is left now, and as far further down, as by that less is left again; none, unless no effect could
         # make up for what is alike; and the root, a way off.
@@ -192,7 +192,7 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
 
 def _change(columns: Columns, found: Posterior) -> Array:
     """(n,) what the most probable set, and what does not reproduce beside it, change in the readings, m."""
-    marginal = found.marginals[0]
+    marginal = found.marginal
     own, scale = scaled_columns(columns.blocks, found.best)
     place, scale = np.append(own, marginal.gram.spread), np.append(scale, marginal.tau)
     every = [*(columns.blocks[point.block].shaped.every for point in found.best.values()), columns.pool.spread[0]]
@@ -222,7 +222,7 @@ def _signal(columns: Columns, found: Posterior, k: int) -> Array:
     """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
     point = found.point_of(k)
     block = columns.blocks[point.block]
-    marginal = found.marginals_with([other for other in found.best if other != k] if k in found.best else [])[0]
+    marginal = found.marginal_with([other for other in found.best if other != k] if k in found.best else [])
     return np.asarray(posterior_of(marginal, block, point)[0] @ block.shaped.every)
 
 
@@ -235,8 +235,8 @@ def _without_cause(columns: Columns, found: Posterior, k: int) -> tuple[Array, A
 
 
 def _findings(columns: Columns, found: Posterior) -> tuple[Finding, ...]:
-    ratio, families = found.marginals[0].ratio, len(found.marginals[0].ratio) - len(columns.gram.sizes)
-    plain = marginal_at(columns.gram, (0.0,) * families + ratio[families:])
+    reproduces = np.arange(len(found.marginal.ratio)) < len(found.marginal.ratio) - len(columns.gram.sizes)
+    plain = marginal_at(columns.gram, np.where(reproduces, 0.0, found.marginal.ratio))
     effects = enumerate(columns.candidates[: columns.effects])
     return in_order([finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects])
 
@@ -271,12 +271,12 @@ def _accepted(
     signals += [_signal(columns, found, k) for k in accepted]
     effects = [*present, *(columns.candidates[k] for k in accepted)]
     places = [columns.blocks[found.point_of(k).block].own for k in accepted]
-    plain = marginal_at(columns.gram, (0.0,) * len(found.marginals[0].ratio))
+    plain = marginal_at(columns.gram, 0.0 * found.marginal.ratio)
 
     def squares_left(members: Sequence[int]) -> float:
         """Squares that some of them leave, fitted by their laws where all reproduces."""
         own = tuple(places[j - len(present)] for j in members if j >= len(present))
-        return plain.squares - (float(np.sum(fitted_in(plain, np.r_[own])[1] ** 2)) if own else 0.0)
+        return float(plain.squares) - (float(np.sum(fitted_in(plain, np.r_[own])[1] ** 2)) if own else 0.0)
 
     kept = without_laws(effects, columns.pool, signals, squares_left)
     return tuple(name for name in kept if name in columns.place)
@@ -314,7 +314,7 @@ def _absorbed(columns: Columns) -> tuple[Absorbed, ...]:
 
 def _structure(columns: Columns, found: Posterior) -> tuple[Structure, ...]:
     """Significant structures in what the model leaves, the most significant first."""
-    single, marginal, out = found.single, found.marginals_with([])[0], []
+    single, marginal, out = found.single, found.marginal, []
     for k in (k for k in single.best if k >= columns.effects):
         log_factor = float(single.log_factors[k])
         # Judged by the structures' prior against all others: what no effect says.
@@ -323,7 +323,7 @@ def _structure(columns: Columns, found: Posterior) -> tuple[Structure, ...]:
             block = columns.blocks[single.best[k].block]
             explained = float(np.sum(fitted_in(marginal, block.place)[1] ** 2))
             words = _dependence(columns.candidates[k], block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, explained / marginal.squares)))
+            out.append((p, -log_factor, Structure(*words, p, explained / float(marginal.squares))))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 

@@ -193,12 +193,12 @@ def batches(gram: Gram, blocks: Sequence[Block]) -> tuple[Batch, ...]:
     return tuple(out)
 
 
-def table(blocks: Sequence[Batch], tried: Sequence[Marginal], candidates: int, only: int | None = None) -> Table:
+def table(blocks: Sequence[Batch], tried: Marginal, candidates: int, only: int | None = None) -> Table:
     """Evidence of every candidate.
 
     Args:
         blocks: of all candidates.
-        tried: marginals, over which the evidence is summed.
+        tried: at several sizes, over which the evidence is summed.
         candidates: how many there are.
         only: the one that is asked for; the others count as absorbed.
     """
@@ -206,7 +206,7 @@ def table(blocks: Sequence[Batch], tried: Sequence[Marginal], candidates: int, o
     best = dict[int, Point]()
     for every in blocks:
         asked = every if only is None else every[every.candidate == only]
-        step = max(int(NUMBERS_AT_ONCE / (len(tried) * asked.unit.shape[1])), 1)
+        step = max(int(NUMBERS_AT_ONCE / (len(tried.ratio) * asked.unit.shape[1])), 1)
         for mine in (asked[first : first + step] for first in range(0, len(asked.block), step)):
             cut, whole = _evidence(mine, tried)
             logs = cut + mine.log_share
@@ -218,7 +218,7 @@ def table(blocks: Sequence[Batch], tried: Sequence[Marginal], candidates: int, o
                     best[k] = Point(int(mine.block[row]), float(mine.scales[row, at[row]]), float(whole[row, at[row]]))
     # So far the points have their evidence without the cut.
     best = {k: replace(best[k], log_rest=float(log_evidence[k]) - best[k].log_rest) for k in sorted(best)}
-    return Table(log_evidence, float(np.logaddexp.reduce([marginal.log_null for marginal in tried])), best)
+    return Table(log_evidence, float(np.logaddexp.reduce(tried.log_null)), best)
 
 
 def _log_sum(logs: Array) -> Array:
@@ -245,29 +245,27 @@ def _scales(gram: Gram, blocks: Sequence[Block], columns: IntArray, unit: Array)
     return np.where(shows & allowed, step**-every, np.nan)[:, : count.max(initial=1)], count
 
 
-def _evidence(blocks: Batch, tried: Sequence[Marginal]) -> tuple[Array, Array]:
-    """(blocks, scales) logarithm of the evidence of blocks, summed over the marginals.
+def _evidence(blocks: Batch, tried: Marginal) -> tuple[Array, Array]:
+    """(blocks, scales) logarithm of the evidence of blocks, summed over the marginal's sizes.
 
     And the same with signs and sizes that do not occur.
     """
-    gram = tried[0].gram
-    unit, columns = blocks.unit, blocks.columns
-    inner = np.array([marginal.own(columns) for marginal in tried]) * unit[:, :, None] * unit[:, None, :]
-    values, vectors = np.linalg.eigh((inner + inner.swapaxes(2, 3)) / 2.0)
+    gram, unit, columns = tried.gram, blocks.unit, blocks.columns
+    inner = tried.own(columns) * unit[:, :, None] * unit[:, None, :]
+    values, vectors = np.linalg.eigh((inner + inner.swapaxes(-1, -2)) / 2.0)
     values = np.maximum(values, 0.0)
-    turned = vectors.swapaxes(2, 3)
-    along = (turned @ np.array([marginal.data[columns] * unit for marginal in tried])[..., None])[..., 0]
+    turned = vectors.swapaxes(-1, -2)
+    along = (turned @ (tried.data[:, columns] * unit)[..., None])[..., 0]
     # What lies in the model's span has rounding only.
     absorbed = values <= np.maximum(blocks.floor[:, None], _ABSORBED * values[..., -1:])
-    values[absorbed], along[absorbed] = 0.0, 0.0
+    values, along = np.where(absorbed, 0.0, values), np.where(absorbed, 0.0, along)
     scale = blocks.scales[:, :, None]
     s2 = scale**2
-    grown = 1.0 + s2 * values[:, :, None, :]
+    grown = 1.0 + s2 * values[..., None, :]
     gain = s2 / grown
-    squares = np.array([marginal.squares for marginal in tried])[:, None, None]
+    squares = tried.squares[:, None, None]
     left = np.maximum(squares - (gain @ along[..., None] ** 2)[..., 0], NOTHING * squares)
-    prior = np.array([marginal.log_prior for marginal in tried])[:, None, None]
-    value = prior - 0.5 * np.log(grown).sum(axis=-1) + gram.log_likelihood(left)
+    value = tried.log_prior[:, None, None] - 0.5 * np.log(grown).sum(axis=-1) + gram.log_likelihood(left)
     uncut = _log_sum(value)
     low, high = blocks.low[:, None], blocks.high[:, None]
     if np.isinf(low).all() and np.isinf(high).all():

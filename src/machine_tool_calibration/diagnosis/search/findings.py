@@ -131,15 +131,15 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
     def rms_with(explained: float) -> float:
-        return float(np.sqrt(max(plain.squares - explained, 0.0) / readings)) * rms(pool.sigma)
+        return float(np.sqrt(max(float(plain.squares) - explained, 0.0) / readings)) * rms(pool.sigma)
 
     if point is None:
         return Finding(candidate, candidate.shapes[0].shape, rms_with(0.0))
     block = found.blocks[point.block]
     place, shaped = block.own, block.shaped
-    marginal, log_factor = found.marginals[0], found.log_factor(number)
+    marginal, log_factor = found.marginal, found.log_factor(number)
     basis, along = fitted_in(marginal, place)
-    inner, squares, gain = marginal.inner(place, place), marginal.squares, float(along @ along)
+    inner, squares, gain = marginal.inner(place, place), float(marginal.squares), float(along @ along)
     rank, count = basis.shape[1], len(shaped.columns)
     variance = max(squares - gain, NOTHING * squares) / max(marginal.gram.dof - rank, 1)
     mean, covariance = posterior_of(marginal, block, point)
@@ -193,7 +193,7 @@ def alias_groups(
         found: the posterior.
         index: number of each candidate in the posterior, by name.
     """
-    inner = found.marginals[0].gram.inner
+    inner = found.marginal.gram.inner
     places = {f.name: f.place for f in findings if f.place is not None}
     bases = {name: basis_of(inner[place, place]) for name, place in places.items()}
 

@@ -13,7 +13,7 @@ from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Batch, Block, Point, Table, batches, columns_of, table
@@ -49,7 +49,7 @@ class Posterior:
     # logarithm of the evidence of each set times its prior odds, in the same order
     log_weights: dict[frozenset[int], float]
     single: Table  # every candidate by itself
-    marginals: tuple[Marginal, ...]  # those that matter, the most probable beside the best set first
+    marginal: Marginal  # at the sizes that are the most probable beside the best set
     variance: float  # of the noise beside the best set, over that declared
 
     @cached_property
@@ -63,9 +63,9 @@ class Posterior:
         """The most probable set."""
         return self.sets[0]
 
-    def marginals_with(self, accepted: Collection[int]) -> list[Marginal]:
-        """The marginals with candidates folded in, each at its point in the best set, or where it is best alone."""
-        return _with_members(self.blocks, self.marginals, {k: self.point_of(k) for k in accepted})
+    def marginal_with(self, accepted: Collection[int]) -> Marginal:
+        """The marginal with candidates folded in, each at its point in the best set, or where it is best alone."""
+        return self.marginal.with_columns(*scaled_columns(self.blocks, {k: self.point_of(k) for k in accepted}))
 
     def point_of(self, candidate: int) -> Point:
         """Where a candidate that the model does not absorb is in the best set, or where it is best alone."""
@@ -121,7 +121,7 @@ class _Search:
     blocks: Sequence[Block]
     batches: Sequence[Batch]
     log_odds: Array
-    tried: Sequence[Marginal]
+    tried: Marginal  # at all sizes that matter
     exclusive: Sequence[frozenset[int]]
     found: dict[frozenset[int], tuple[float, Members]] = field(default_factory=dict)
     grown: dict[frozenset[tuple[int, Point]], Table] = field(default_factory=dict)
@@ -134,15 +134,15 @@ class _Search:
         """Logarithm of the members' prior odds, with what their other points than these add."""
         return sum(float(self.log_odds[k]) + point.log_rest for k, point in members.items())
 
-    def marginals_with(self, members: Members) -> list[Marginal]:
-        """The marginals with members folded in."""
-        return _with_members(self.blocks, self.tried, members)
+    def marginal_with(self, members: Members) -> Marginal:
+        """That with members folded in at their points."""
+        return self.tried.with_columns(*scaled_columns(self.blocks, members))
 
     def grow(self, members: Members) -> Table:
         """Every other candidate beside the members; each makes a set."""
         key = frozenset(members.items())
         if key not in self.grown:
-            self.grown[key] = found = table(self.batches, self.marginals_with(members), len(self.log_odds))
+            self.grown[key] = found = table(self.batches, self.marginal_with(members), len(self.log_odds))
             self._keep(members, self.prior(members) + found.log_null)
             for k in found.best:
                 if k not in members:
@@ -154,7 +154,7 @@ class _Search:
         for k in self.found[key][1] if len(key) > 1 else ():
             others = {j: point for j, point in self.found[key][1].items() if j != k}
             # Of the set alone: what rules out signs of the others was judged beside this member.
-            found = table(self.batches, self.marginals_with(others), len(self.log_odds), only=k)
+            found = table(self.batches, self.marginal_with(others), len(self.log_odds), only=k)
             if k in found.best:
                 self._keep_with(others, k, found)
         return self.found[key][1]
@@ -208,7 +208,7 @@ def search(
     """
     share, grown = (_COUNTS_AT_FIRST, _GROWN_AT_FIRST) if at_first else (_COUNTS, _GROWN)
     prepared = batches(gram, blocks)
-    work = _Search(blocks, prepared, log_odds, _probable_marginals(gram, blocks, prepared, log_odds, share), exclusive)
+    work = _Search(blocks, prepared, log_odds, _at_probable_sizes(gram, blocks, prepared, log_odds, share), exclusive)
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
@@ -228,10 +228,8 @@ def search(
             continue
         done.add(ready[0])
         work.grow(work.polished(ready[0]))
-    found = work.marginals_with(work.found[ranked[0]][1])
-    logs = np.array([marginal.log_null for marginal in found])
-    shares = np.exp(logs - logsumexp(logs))
-    order = np.argsort(-shares, kind="stable")
+    found = work.marginal_with(work.found[ranked[0]][1])
+    shares = softmax(found.log_null)
     return Posterior(
         blocks=blocks,
         batches=prepared,
@@ -239,14 +237,14 @@ def search(
         sets=tuple(work.found[key][1] for key in ranked),
         log_weights={key: work.found[key][0] for key in ranked},
         single=single,
-        marginals=tuple(work.tried[k] for k in order),
-        variance=float(shares @ [marginal.squares for marginal in found]) / max(gram.dof, 1),
+        marginal=marginal_at(gram, found.ratio[np.argmax(shares)]),
+        variance=float(shares @ found.squares) / max(gram.dof, 1),
     )
 
 
-def _probable_marginals(
+def _at_probable_sizes(
     gram: Gram, blocks: Sequence[Block], prepared: Sequence[Batch], log_odds: Array, share: float
-) -> list[Marginal]:
+) -> Marginal:
     """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
 
     The best are those where all reproduces, and those beside what is most probable without any.
@@ -255,7 +253,7 @@ def _probable_marginals(
     likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
     alone: set[Point] = set()
     for ratio in {likeliest, (0.0,) * len(likeliest)}:
-        found = table(prepared, [marginal_at(gram, ratio, log_prior)], len(log_odds))
+        found = table(prepared, marginal_at(gram, [ratio], [log_prior]), len(log_odds))
         ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.
@@ -271,7 +269,8 @@ def _probable_marginals(
             return at(ratio, log).log_null_with(own, scale)
 
         prior |= {ratio: log for ratio, log, _ in size_grid(few, log_evidence, share)}
-    return [marginal_at(gram, ratio, prior[ratio]) for ratio in sorted(prior)]
+    ratios, logs = zip(*sorted(prior.items()), strict=True)
+    return marginal_at(gram, ratios, logs)
 
 
 def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Members) -> list[Members]:
@@ -280,21 +279,19 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
     pairs = [pair for pair in combinations(points, 2) if work.may_stand({*members, *pair})]
     if not pairs:
         return []
-    tried = work.marginals_with(members)
+    tried = work.marginal_with(members)
     columns, scale = scaled_columns(work.blocks, points)
     ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
     place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
-    inner = np.eye(len(columns)) + [marginal.inner(columns, columns) * np.outer(scale, scale) for marginal in tried]
-    data = np.array([marginal.data[columns] * scale for marginal in tried])
-    squares = np.array([marginal.squares for marginal in tried])
-    left, determinant = np.empty((2, len(pairs), len(tried)))
+    inner = np.eye(len(columns)) + tried.inner(columns, columns) * np.outer(scale, scale)
+    data, squares = tried.data[:, columns] * scale, tried.squares
+    left, determinant = np.empty((2, len(pairs), len(squares)))
     for n, (i, j) in enumerate(pairs):
         own = np.append(place[i], place[j])
-        core, right = inner[:, own[:, None], own], data[:, own]
+        core, right = inner[..., own[:, None], own], data[:, own]
         left[n] = squares - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=1)
         determinant[n] = np.linalg.slogdet(core)[1]
-    logs = tried[0].gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant
-    logs += [marginal.log_prior for marginal in tried]
+    logs = tried.gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant + tried.log_prior
     weight = logsumexp(logs, axis=1) + [work.prior(members | {k: points[k] for k in pair}) for pair in pairs]
     least = max(value for value, _ in work.found.values()) + _HOPELESS
     best = [pairs[n] for n in np.argsort(-weight)[:_PAIRS] if weight[n] > least]
@@ -305,9 +302,3 @@ def scaled_columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray,
     """Places of the members' columns, and the standard deviations of their coefficients."""
     scales = [blocks[point.block].unit * point.scale for point in members.values()]
     return columns_of(blocks[point.block] for point in members.values()), np.concatenate([np.zeros(0), *scales])
-
-
-def _with_members(blocks: Sequence[Block], tried: Sequence[Marginal], members: Members) -> list[Marginal]:
-    """The marginals with members folded in at their points."""
-    columns, scale = scaled_columns(blocks, members)
-    return [marginal.with_columns(columns, scale) if members else marginal for marginal in tried]

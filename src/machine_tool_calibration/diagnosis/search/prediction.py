@@ -126,12 +126,12 @@ def _log_factors(pool: Pool, every: Pool, shaped: Sequence[ShapedColumns], searc
     blocks = [Block.of(0, place, s, np.zeros(len(s.columns))) for s, place in zip(shaped, places, strict=True)]
     sizes = dict(search.spread)
     known = ends[-1] + np.arange(len(further))
-    base = marginal_at(gram, tuple(sizes.get(name, 0.0) for name in names)).with_columns(known, search.expected)
+    base = marginal_at(gram, [[sizes.get(name, 0.0) for name in names]]).with_columns(known, search.expected)
     out = np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        factor = float(table(batches(gram, [block]), [base.with_columns(columns_of(others), unit)], 1).log_factors[0])
+        factor = float(table(batches(gram, [block]), base.with_columns(columns_of(others), unit), 1).log_factors[0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out
