@@ -72,11 +72,7 @@ _ARM, _OTHER_ARM = 0.1, 0.082
 # Figs. 18 to 20 and Table 2: expanded uncertainties (k = 2), m and rad.
 _FORM = {2: 6.5e-6, 3: 3.0e-6, 4: 2.1e-6}
 _WITHOUT_SPHERES, _EDGE = 4e-6, 28e-6
-_TABLE_2 = {
-    "EXC": (1.0e-6, 1.2e-6, 1.2e-6),
-    "EYC": (0.9e-6, 1.1e-6, 1.2e-6),
-    "ECC": (8.9e-6, 9.3e-6, 8.2e-6),
-}
+_TABLE_2 = {"EXC": (1.0e-6, 1.2e-6, 1.2e-6), "EYC": (0.9e-6, 1.1e-6, 1.2e-6), "ECC": (8.9e-6, 9.3e-6, 8.2e-6)}
 # Share of a figure that the paper's rounding, reading a colour, and the largest of many from 1000 draws leave.
 _WITHIN = 0.1
 _LARGE = 10e-6

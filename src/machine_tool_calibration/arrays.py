@@ -163,6 +163,15 @@ def inverse_root(inner: Array, squares: Array, least: float) -> Array:
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) * scale[:, None])
 
 
+def root_of(matrix: Array) -> Array:
+    """(m, r) factor B of a positive semidefinite matrix B B^T, such as a covariance, whatever the units of its rows."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    size[size == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    keep = values > 1e-15 * values.max(initial=0.0)
+    return np.asarray(vectors[:, keep] * np.sqrt(values[keep]) * size[:, None])
+
+
 def orthonormal_basis(columns: Array) -> Array:
     """(n, r) orthonormal basis of what columns (n, t) span, each as long as the others."""
     size = np.linalg.norm(columns, axis=0)

@@ -4,7 +4,6 @@
 import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 
 class CalibrationError(ValueError):
@@ -26,16 +25,6 @@ def suspected() -> Iterator[None]:
         yield
     except CalibrationError as error:
         raise type(error)(f"{error} (trust_units: true in session.yaml takes it as it is)") from None
-
-
-@contextmanager
-def writing(path: Path, kind: type[CalibrationError] = CalibrationError) -> Iterator[None]:
-    """Say in one line, by an error of this kind, where the system refuses to have something written."""
-    try:
-        yield
-    except OSError as error:
-        name = str(error.filename or path).removesuffix(".part")  # of what takes its place once it is whole
-        raise kind(f"{name}: cannot be written: {error.strerror}") from None
 
 
 def one_line(text: object) -> str:

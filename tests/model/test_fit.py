@@ -16,14 +16,7 @@ from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import absorbed_by, changed, declared, drawn, fit_models, screen
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.model.result import (
-    ErrorMap,
-    Estimate,
-    effect_signal,
-    lacks_reversal,
-    map_change,
-    map_rms,
-)
+from machine_tool_calibration.model.result import ErrorMap, Estimate, effect_signal, lacks_reversal, map_change, map_rms
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
 

@@ -155,7 +155,6 @@ def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
     table = readings(operator)
     assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, SITE)).max() < 1e-9
     assert operator.wait(
-        lambda: operator.procedure.number("ignored") > 50 < operator.heard.said("estimator").number("ignored"),
-        PATIENCE,
+        lambda: operator.procedure.number("ignored") > 50 < operator.heard.said("estimator").number("ignored"), PATIENCE
     )
     graph.check()  # all are alive

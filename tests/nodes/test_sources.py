@@ -35,8 +35,7 @@ def test_a_window_is_the_newest_samples():
 
 
 @pytest.mark.parametrize(
-    ("path", "kind"),
-    [(np.linspace(0, 1e-3, 500), "unstable"), (np.where(np.arange(500) == 450, np.nan, 0.0), "beam")],
+    ("path", "kind"), [(np.linspace(0, 1e-3, 500), "unstable"), (np.where(np.arange(500) == 450, np.nan, 0.0), "beam")]
 )
 def test_no_window_while_the_path_changes_or_is_missing(path, kind):
     recent = Recent(1.0)

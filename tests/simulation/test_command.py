@@ -90,10 +90,7 @@ def test_spec_file_and_options_on_top(tmp_path, verb):
         (["--method", "direct", "--noise-factor", "1e308"], "noise_factor must be at most 10000, not 1e+308"),
         (["--method", "direct", "--plan", "interval=1e308"], "plan.interval must be at most 100000, not 1e+308"),
         (["--preset", "iso230_2", "--effect", "warmup_x:tau=-1"], "the readings come out as no numbers"),
-        (
-            ["--method", "direct", "--effect", "warmup_x:tau=.inf"],
-            "tau must be a finite number, not inf",
-        ),
+        (["--method", "direct", "--effect", "warmup_x:tau=.inf"], "tau must be a finite number, not inf"),
         (["--method", "direct", "--effect", "warmup_x:tau=long"], "tau must be a finite number, not long"),
         (["--method", "direct", "--machine", "nowhere.yaml"], "nowhere.yaml: no such file"),
         ([], "say what to simulate"),
@@ -166,10 +163,7 @@ def test_a_machine_file_decides_the_errors(tmp_path, verb):
     ("text", "said"),
     [
         ("motions: {EXX: {nodes: [0, 0], values: [1, 2]}}", r"machine.yaml line 1: motions.EXX: .* must increase"),
-        (
-            "motions: {EXX: {nodes: [0, 1], values: [1, 2, 3]}}",
-            "yaml line 1: motions.EXX: .* 2 nodes and 3 values",
-        ),
+        ("motions: {EXX: {nodes: [0, 1], values: [1, 2, 3]}}", "yaml line 1: motions.EXX: .* 2 nodes and 3 values"),
         ("motions: {EXA: {nodes: [0, 1], values: [1, 2]}}", r"'EXA': the chain .* has no such axis"),
         ("travel: {x: [1, 0]}", "travel of x must run from low to high"),
         ("travel: {x: [0, 1.0e-12]}\nrandom: {}", "travel of x must run from low to high by 1e-06 at least"),

@@ -94,7 +94,7 @@ def test_what_cannot_be_written_is_said_by_its_name(window: Any, document: Docum
     page._saved.folder.value = str(tmp_path / "file")
     page._left = "csv", SimpleNamespace(files={"errors.csv": ""}), b""
     press(document, page, "Save the files")
-    assert f">{tmp_path / 'file' / 'csv'}: Not a directory<" in window._work._words.object
+    assert f">{tmp_path / 'file' / 'csv'}: cannot be written: Not a directory<" in window._work._words.object
 
 
 def test_the_model_stays_while_something_is_calculated_of_it(window: Any, document: Document, hidden: Path) -> None:

@@ -15,6 +15,7 @@ from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.shared import FOLDER, PATH, json_option, note, progress_bar, save_picture, tell_either
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.files import save
 from machine_tool_calibration.reports.tables import suspicion_words
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -165,9 +166,8 @@ def _save(folder: Path, found: Compensation, made: Exported, title: str) -> list
     for path in (*(folder / name for name in made.files), *picture):
         if path.exists():
             raise CalibrationError(f"{path}: is there already; choose another folder with -o")
-    folder.mkdir(parents=True, exist_ok=True)
     for name, text in made.files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        save(folder / name, text)
     if picture:
         from machine_tool_calibration.plots.compensation import draw_compensation
 

@@ -13,7 +13,7 @@ import click
 
 from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, fit_one, followed, model_options, workers_options
-from machine_tool_calibration.errors import writing
+from machine_tool_calibration.files import save
 from machine_tool_calibration.reports.documents import to_json, write_table
 
 if TYPE_CHECKING:
@@ -112,18 +112,12 @@ def _identify_each(
 
 
 def _write(fit: Fit, folder: Path, *, result_file: bool) -> list[Path]:
-    written = []
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if result_file:
-            written.append(folder / "result.json")
-            written[0].write_text(to_json(fit.document()) + "\n", encoding="utf-8")
-        return written + fit.save_pictures(folder)
+    written = [save(folder / "result.json", to_json(fit.document()) + "\n")] if result_file else []
+    return written + fit.save_pictures(folder)
 
 
 def _write_values(fit: Fit, table: Path, units: str) -> Path:
     from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
 
     values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
-    with writing(table):
-        return write_table(values, table, fit.result.provenance)
+    return write_table(values, table, fit.result.provenance)

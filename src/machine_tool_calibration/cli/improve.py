@@ -85,9 +85,8 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
         progress("drawing")
         try:
             written = [*save_improvement(done, folder), *written]
-        except OSError as error:
-            why = f"{error.filename or folder}: cannot be written: {error.strerror}; -o names another folder"
-            failed.insert(0, why)
+        except CalibrationError as error:
+            failed.insert(0, f"{error}; -o names another folder")
     try:
         measurement = Measurement(measured.recorded, tuple(shared.session_labels(measurements)))
         shared.tell(Improvement.of(done, measurement=measurement), as_json)

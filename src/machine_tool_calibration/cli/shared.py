@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
-from machine_tool_calibration.errors import CalibrationError, writing
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.files import save
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.tables import Part, show
 
@@ -117,8 +118,7 @@ def write_new(file: Path, text: str) -> None:
     """Write a text file; a CalibrationError if it is there already, or cannot be written."""
     if file.exists():
         raise CalibrationError(f"{file}: is there already; choose another file")
-    with writing(file):
-        file.write_text(text, encoding="utf-8")
+    save(file, text)
 
 
 def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenance | None = None) -> None:

@@ -11,6 +11,7 @@ import click
 
 from machine_tool_calibration.cli.shared import PATH, Number, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.files import save
 from machine_tool_calibration.reports.documents import picked, to_json
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
@@ -122,9 +123,7 @@ def _write(simulated: Simulated, spec: SimulationSpec, folder: Path, overwrite: 
         raise CalibrationError(f"{folder}: holds a truth.json already; choose another folder, or --overwrite")
     write_session(simulated.session, folder, overwrite=overwrite)
     document = simulated.truth.document() | {"spec": spec.model_dump(mode="json", exclude_unset=True)}
-    part = truth.with_name("truth.json.part")
-    part.write_text(to_json(document) + "\n", encoding="utf-8")
-    part.replace(truth)
+    save(truth, to_json(document) + "\n")
 
 
 def _summary(simulated: Simulated, folder: Path) -> dict[str, Any]:

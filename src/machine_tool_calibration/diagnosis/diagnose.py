@@ -132,9 +132,7 @@ class Diagnosis:
 
 
 def diagnose(
-    subject: Session | FitRequest,
-    *,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
 ) -> Diagnosis:
     """Look for missing effects in one session, or in several of one machine together.
 
@@ -193,8 +191,10 @@ def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]
         searched, first, _ = _first_model(replace(chosen, sessions=sessions))
         pool = with_laws(first.joint, chosen.present)
         candidates, structures = _candidates(chosen, first)[0], structure_candidates(pool)
-        side_by_side = _side_by_side(searched)
-        return search_effects(pool, candidates, structures, side_by_side=side_by_side, exact_laws=True).accepted
+        side_by_side, present = _side_by_side(searched), in_the_model(pool, chosen.present)
+        return search_effects(
+            pool, candidates, structures, side_by_side=side_by_side, exact_laws=True, present=present
+        ).accepted
     except ModelError:
         # What is left does not allow the model: then it says nothing of what is missing.
         return ()
@@ -214,9 +214,7 @@ def _alone(chosen: FitRequest, added: Sequence[str]) -> Callable[[Session], Meth
 
 
 def _search(
-    chosen: FitRequest,
-    aside: tuple[tuple[Outlier, ...], ...],
-    progress: Callable[[str, float], None],
+    chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress: Callable[[str, float], None]
 ) -> Diagnosis:
     """The diagnosis of sessions without what was set aside."""
     searched, first, repeated = _first_model(chosen)
@@ -261,10 +259,7 @@ def _candidates(chosen: FitRequest, first: FittedSessions) -> tuple[list[Candida
 
 
 def _feasible(
-    searched: FitRequest,
-    first: FittedSessions,
-    candidates: Sequence[Candidate],
-    progress: Callable[[str, float], None],
+    searched: FitRequest, first: FittedSessions, candidates: Sequence[Candidate], progress: Callable[[str, float], None]
 ) -> tuple[EffectSearch, dict[str, tuple[Prediction, ...]], Added]:
     """The search among all effects but those that cannot be what is missing, as often as it finds such.
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, root_of
 from machine_tool_calibration.estimation.elimination import Rows, gram_of_each, inverse, local_columns
 from machine_tool_calibration.estimation.problem import CHUNK, Part
 from machine_tool_calibration.estimation.reduction import over_chunks, single_blas
@@ -83,8 +83,8 @@ class _Work:
         spread = datum @ (noise + pull.T @ self.q @ pull) @ datum
         moved = cross @ self.theta_motion.T
         inner = self.q - moved - moved.T + self.theta_motion @ spread @ self.theta_motion.T
-        self.half = _root(inner)
-        self.datum_half = _root(datum)
+        self.half = root_of(inner)
+        self.datum_half = root_of(datum)
         over_chunks(self.part, self.spread)
         value, theta = self.local - self.common(shift), self.theta - self.theta_motion @ shift
         return PointResult(value, self.covariance, self.determined, theta, inner)
@@ -173,14 +173,3 @@ def _product(left: Array, right: Array) -> Array:
         for b in range(out.shape[1]):
             np.einsum("kn,kn->n", left[a], right[:, b], out=out[a, b])
     return out
-
-
-def _root(matrix: Array) -> Array:
-    """(m, r) factor B of a positive semidefinite matrix B B^T."""
-    if not len(matrix):
-        return matrix
-    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    size[size == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
-    keep = values > 1e-15 * values[-1]
-    return np.asarray(vectors[:, keep] * np.sqrt(values[keep]) * size[:, None])

@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from machine_tool_calibration.files import save
 from machine_tool_calibration.fleet.fleet import effects_table, fleet_line, machines_table, problems_table, states_table
 from machine_tool_calibration.fleet.machines import CAUSES, Machine, Machines
 from machine_tool_calibration.plots.style import COLORS, MARKERS, NOMINAL, new_figure
 from machine_tool_calibration.plots.trend import draw_trend
 from machine_tool_calibration.report.figures import Picture
-from machine_tool_calibration.report.page import rendered, save
+from machine_tool_calibration.report.page import rendered
 from machine_tool_calibration.report.sections import Block, Section, in_language
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import SOFTWARE

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from machine_tool_calibration.errors import writing
+from machine_tool_calibration.files import whole
 from machine_tool_calibration.fleet.each import Done
 from machine_tool_calibration.fleet.machines import Machine, Machines
 from machine_tool_calibration.fleet.sessions import Identified, Place
@@ -69,12 +69,10 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]
     A CalibrationError if one cannot be written.
     """
     written = []
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, table in tables.items():
-            made = folder / f".{name}.parquet.part"
-            table.to_parquet(made, index=False)
-            written.append(made.replace(folder / f"{name}.parquet"))
+    for name, table in tables.items():
+        written.append(folder / f"{name}.parquet")
+        with whole(written[-1]) as part:
+            table.to_parquet(part, index=False)
     return written
 
 

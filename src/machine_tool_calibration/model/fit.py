@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, root_of
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Part, PartAround, PriorRows, Problem
@@ -312,12 +312,10 @@ def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[Joi
     """The fit with all its unknowns drawn from their joint distribution as it is published, so many times."""
     marginal = joint.marginal
     published = marginal.solution
-    m = len(published.theta)
-    values, vectors = np.linalg.eigh(published.covariance)
-    root = marginal.scatter * vectors * np.sqrt(np.maximum(values, 0.0))
+    m, root = len(published.theta), marginal.scatter * root_of(published.covariance)
     start = np.pad(joint.solution.theta, (0, m - len(joint.solution.theta)))
     for _ in range(count):
-        theta = published.theta + root @ rng.standard_normal(m)
+        theta = published.theta + root @ rng.standard_normal(root.shape[1])
         # A point's own unknowns follow the shared ones, and have the noise of the point's own readings besides.
         parts = [ShiftedPart(p, marginal.scatter * rng.standard_normal(p.n_readings)) for p in marginal.parts]
         wide = Problem(parts, m, np.zeros((0, m)), np.zeros(0))

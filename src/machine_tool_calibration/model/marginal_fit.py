@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, root_of
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, left_at, noise_variance
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
@@ -270,8 +270,7 @@ def _root(solved: Solved, total: Array, squares: Array) -> Array:
     """Root of the covariance, with what is expected of random unknowns, which is not in the matrix."""
     if solved.random is None:
         return covariance_root(total, squares, solved.assembly.problem.constraints)
-    values, vectors = np.linalg.eigh(solved.solution.covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return root_of(solved.solution.covariance)
 
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:

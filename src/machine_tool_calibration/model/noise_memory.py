@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, root_of
 from machine_tool_calibration.estimation.marginal import noise_variance
 from machine_tool_calibration.estimation.problem import Problem
 from machine_tool_calibration.estimation.reduction import columns_without_points
@@ -56,11 +56,7 @@ def added_by_memory(
         beyond[np.ix_(place, place)] += beyond_independent(memory, columns[:-1], *own.neighbours)
     if not beyond.any():
         return beyond
-    # Unknowns in their own uncertainties: rounding in that of a length would be large beside that of an angle.
-    size = np.sqrt(np.diag(covariance))
-    unit = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root = root_of(covariance)
     more, directions = np.linalg.eigh(root.T @ beyond @ root)
     root = root @ directions
     dof = solution.degrees_of_freedom

@@ -194,7 +194,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     """Runs and passes over a single axis; rows and columns of a grid; otherwise runs."""
     position = observations.position
     moved = [j for j in range(3) if np.ptp(position[:, j]) > SAME_POSITION] if len(position) else []
-    run = groups(observations.readings.setup, observations.readings.repeat)
+    run = observations.readings.repeat_of_setup
     if len(moved) >= 2:
         if _tell(observations.place, run):
             yield Family("run", run, _smooth(observations, run))
@@ -227,7 +227,7 @@ def _passes(observations: Observations, axis: int) -> IntArray:
     """(n,) which pass over the axis a reading belongs to: a pass ends where the axis turns, or a run ends."""
     position, readings = observations.position[:, axis], observations.readings
     step = np.diff(position)
-    again = np.r_[False, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)]
+    again = np.r_[False, np.diff(readings.repeat_of_setup) != 0]
     # The way to where the next run begins is none.
     sign = np.where((np.abs(step) > SAME_POSITION) & ~again[1:], np.sign(step), 0.0)
     turned = np.zeros(len(readings), dtype=bool)

@@ -16,6 +16,7 @@ import yaml
 
 from machine_tool_calibration.budget.enough import Reached, Until
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.files import save
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
 from machine_tool_calibration.nodes.stages import Stages, stage_of
@@ -161,7 +162,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 raise CalibrationError("the procedure ended without a reading")
             counters = {name: client.procedure.number(name) for name in _COUNTERS}
     if document is not None:
-        (output / "result.json").write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
+        save(output / "result.json", json.dumps(document, allow_nan=False, indent=1))
     return Measured(
         output=output,
         session=session,

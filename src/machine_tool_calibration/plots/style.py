@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.files import whole
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
@@ -73,8 +74,8 @@ def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> Non
     told = None
     if origin is not None and ending in ("png", "svg"):
         told = {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
+    with whole(path) as part:
+        figure.savefig(part, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
 
 
 def draw_band(panel: Axes, at: Array, value: Array, u: Array, color: str = FOUND, **line: Any) -> None:

@@ -4,7 +4,6 @@
 import json
 import math
 from collections.abc import Callable, Collection, Iterator
-from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.errors import RecordingError, writing
+from machine_tool_calibration.errors import RecordingError
+from machine_tool_calibration.files import whole
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
 from machine_tool_calibration.recording.metadata import Topic
 from machine_tool_calibration.recording.reader import BagReader, Message, is_readable
@@ -211,15 +211,8 @@ def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
 
     Nothing is left of one that cannot be ended: a RecordingError.
     """
-    part = path.with_name(path.name + ".part")
-    try:
-        with writing(path, RecordingError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _parquet(pieces, part) if path.suffix.lower() == ".parquet" else _csv(pieces, part)
-            part.replace(path)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+    with whole(path, RecordingError) as part:
+        _parquet(pieces, part) if path.suffix.lower() == ".parquet" else _csv(pieces, part)
 
 
 def _csv(pieces: Iterator[pd.DataFrame], path: Path) -> None:

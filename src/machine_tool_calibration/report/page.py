@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from machine_tool_calibration.errors import CalibrationError, writing
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.files import save
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.figures import Picture, library
 from machine_tool_calibration.report.sections import Section, Turnable, sections
@@ -49,14 +50,6 @@ def save_all(
         progress(f"writing {file.name}", k / (len(files) + 1))
         save(file, made(file.suffix.lower()))
     return [*files, *(save_pictures(content, figures) if figures else ())]
-
-
-def save(file: Path, content: str | bytes) -> Path:
-    """Write a file, with the folders that it needs; a CalibrationError if it cannot be written."""
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content.encode() if isinstance(content, str) else content)
-    return file
 
 
 def check_endings(files: Sequence[Path], *, certificate: bool = False) -> None:

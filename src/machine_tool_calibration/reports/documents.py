@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.files import whole
 from machine_tool_calibration.json_types import plain
 
 if TYPE_CHECKING:
@@ -48,8 +49,7 @@ def _compact(value: Any) -> str:
 
 def write_table(table: pd.DataFrame, file: Path, origin: Provenance) -> Path:
     """Write a table as CSV, after lines with `#` that say what it was made from (`pd.read_csv(file, comment="#")`)."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("w", encoding="utf-8", newline="") as stream:
+    with whole(file) as part, part.open("w", encoding="utf-8", newline="") as stream:
         stream.writelines(f"# {name}: {' '.join(value.split())}\n" for name, value in origin.lines())
         table.to_csv(stream, index=False, lineterminator="\n")
     return file

@@ -135,7 +135,7 @@ def _require_reading(columns: Mapping[str, float], description: Description | No
     """
     if lacking := lacking_of(columns):
         raise SessionError(lacking)
-    for name, (_, key) in INDEX_COLUMNS.items():
+    for name, key in ((READING_INDEX, ""), *((name, key) for name, (_, key) in INDEX_COLUMNS.items())):
         index, entries = columns.get(name, math.nan), getattr(description, key, None)
         if math.isnan(index):
             continue
@@ -165,8 +165,6 @@ class Received:
         """
         columns = dict(zip(reading.names, reading.values, strict=True))
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
-        if not (math.isnan(index) or (0 <= index < _MOST_READINGS and index == int(index))):
-            raise SessionError(f"{READING_INDEX} is {index:g}")
         origin, forgotten = self._origin, 0
         if math.isfinite(time):
             # start of the session that it belongs to: the same for all its readings

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.errors import SessionError, writing
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.files import whole
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
@@ -75,14 +75,9 @@ def write_session(session: Session, folder: Path, *, overwrite: bool = False) ->
 
     folder = Path(folder)
     described, observed = folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE
-    with writing(folder, SessionError):
-        folder.mkdir(parents=True, exist_ok=True)
-        if not overwrite and (described.exists() or observed.exists()):
-            raise SessionError(f"{folder}: holds a session already; choose another folder")
-        # first beside the target, then renamed: a write that is cut short leaves what was there
-        parts = [file.with_name(file.name + ".part") for file in (described, observed)]
-        parts[0].write_text(description_yaml(session.description), encoding="utf-8")
-        with parts[1].open("w", encoding="utf-8", newline="") as stream:
+    if not overwrite and (described.exists() or observed.exists()):
+        raise SessionError(f"{folder}: holds a session already; choose another folder")
+    with whole(described, SessionError) as yaml, whole(observed, SessionError) as csv:
+        yaml.write_text(description_yaml(session.description), encoding="utf-8")
+        with csv.open("w", encoding="utf-8", newline="") as stream:
             write_csv(readings_frame(session), stream)
-        for part, file in zip(parts, (described, observed), strict=True):
-            os.replace(part, file)

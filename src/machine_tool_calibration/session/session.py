@@ -42,6 +42,11 @@ class Readings:
     def __len__(self) -> int:
         return len(self.displacement)
 
+    @cached_property
+    def repeat_of_setup(self) -> IntArray:
+        """(n,) number shared by the readings of one repeat of one setup."""
+        return groups(self.setup, self.repeat)
+
     @property
     def state(self) -> IntArray:
         """(n,) number shared by readings that are the same in all but the displacement, in what is missing too."""

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.export.compensation import Exported, compensation
+from machine_tool_calibration.files import save
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.plots.compensation import draw_compensation
 from machine_tool_calibration.plots.style import save_as
@@ -50,9 +51,7 @@ def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]
     errors = write_table(tidy(result), folder / TABLES[0], origin)
     progress("readings", 0.5)
     readings = write_table(held.residuals, folder / TABLES[1], origin)
-    document = folder / TABLES[2]
-    document.write_text(to_json(result.document()) + "\n", encoding="utf-8")
-    return [errors, readings, document]
+    return [errors, readings, save(folder / TABLES[2], to_json(result.document()) + "\n")]
 
 
 def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple[Exported, bytes, str]:

@@ -11,6 +11,7 @@ import panel as pn
 from tornado.web import HTTPError, RequestHandler
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.files import save
 from machine_tool_calibration.workbench.look import NO_WIDER, text
 
 # What may be downloaded, by the part of its address that nobody guesses.
@@ -71,7 +72,4 @@ class Saved:
         """Write files and offer them; a CalibrationError if one is there that was not written from here."""
         paths = [folder / name for name in files]
         self.claim(paths)
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, content in zip(paths, files.values(), strict=True):
-            path.write_bytes(content.encode() if isinstance(content, str) else content)
-        self.offer(paths)
+        self.offer([save(path, content) for path, content in zip(paths, files.values(), strict=True)])

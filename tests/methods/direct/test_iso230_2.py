@@ -12,13 +12,7 @@ import pytest
 
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.iso230_2 import (
-    FIGURES,
-    Positioning,
-    _runs,
-    positioning,
-    positioning_uncertainty,
-)
+from machine_tool_calibration.methods.iso230_2 import FIGURES, Positioning, _runs, positioning, positioning_uncertainty
 from machine_tool_calibration.reports.goodness import scatter_words
 from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.session.session import Readings, Session

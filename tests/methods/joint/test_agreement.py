@@ -177,8 +177,7 @@ def test_a_contradiction_names_who_and_what_else(others: tuple[str, ...], alike:
 
 
 @pytest.mark.parametrize(
-    ("unit", "shown"),
-    [("rad", "µrad"), ("1", "µm/m"), ("1/K", "µm/(m K)"), ("m/K", "µm/K"), ("rad/K", "µrad/K")],
+    ("unit", "shown"), [("rad", "µrad"), ("1", "µm/m"), ("1/K", "µm/(m K)"), ("m/K", "µm/K"), ("rad/K", "µrad/K")]
 )
 def test_a_contradiction_has_the_unit_that_people_use(unit: str, shown: str) -> None:
     assert f" by 3 ± 1 {shown} (95 %)" in _sentence(Contradiction("a", ("b",), "EXX", (), -3e-6, 5e-7, unit, 1e-9))

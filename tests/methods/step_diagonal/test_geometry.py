@@ -13,12 +13,7 @@ from papers.formulations import identify_by_formulation
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build, second_order
-from machine_tool_calibration.methods.step_diagonal.geometry import (
-    across,
-    block_positions,
-    halts_of,
-    runs_of,
-)
+from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, halts_of, runs_of
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.simulation import PRESETS, Simulated, SimulationSpec, simulate

@@ -70,9 +70,7 @@ class Prediction:
 
 
 def predictions(
-    sessions: Sequence[Session],
-    search: EffectSearch,
-    fit_of: Callable[[tuple[Session, ...]], JointFit],
+    sessions: Sequence[Session], search: EffectSearch, fit_of: Callable[[tuple[Session, ...]], JointFit]
 ) -> dict[str, tuple[Prediction, ...]]:
     """Every accepted effect on setups, blocks of places and cycles that were left out.
 

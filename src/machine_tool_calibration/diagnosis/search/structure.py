@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, occurrence, peaks, within
+from machine_tool_calibration.arrays import Array, IntArray, occurrence, peaks, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
@@ -258,7 +258,7 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
         yield _structure(covariate, say(shape, at=""), steps, len(time))
     length, highest = float(np.ptp(time)), _samples(time) / 2.0
     # Where only the order is known, what is slower than a run over places is a function of the run and the place.
-    run = groups(observations.readings.setup, observations.readings.repeat)
+    run = observations.readings.repeat_of_setup
     least = 0 if observations.timed or not observations.moves else 1 + int(run.max())
     for lowest, end in _BANDS:
         frequency = _frequencies(max(lowest, least), min(end, highest)) / length
@@ -344,7 +344,7 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     if observations.timed and _AIR in out:
         # What drives gradients in the frame; temperatures of the structure follow.
         out[f"rate of {_AIR}"] = _rate(observations.clock, out[_AIR])
-    run = groups(observations.readings.setup, observations.readings.repeat)
+    run = observations.readings.repeat_of_setup
     if run.max(initial=0) > 0:  # what settles after each start
         out["order within the run"] = occurrence(run).astype(float)
     if "path" in out:

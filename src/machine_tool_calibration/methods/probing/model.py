@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, orthonormal_basis
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, orthonormal_basis, root_of
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
 from machine_tool_calibration.methods.probing import datum
@@ -236,8 +236,7 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     columns = fit.marginal_columns
     mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
     touched = total > 0
-    values, vectors = np.linalg.eigh(marginal.scatter**2 * fit.marginal_covariance)
-    half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    half = marginal.scatter * mean @ root_of(fit.marginal_covariance)
     free = np.zeros((len(columns), fit.undetermined.shape[1]))
     free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
     # What a point would do if the unknowns on which it depends changed one by one.

@@ -27,7 +27,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, orthonormal_basis
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, orthonormal_basis
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.estimation.solve import solve
@@ -200,7 +200,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
 
 def _observations(session: Session, readings: Readings, runs: Sequence[geometry.Run]) -> tuple[Observations, Array]:
     """Readings by the direction that each senses, and displacements from the run's start: before it is dead path."""
-    run = groups(readings.setup, readings.repeat)
+    run = readings.repeat_of_setup
     position = readings.position()
     beam = np.array([r.beam for r in runs])[readings.setup]
     displacement = position - np.array([r.start for r in runs])[readings.setup]

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.methods.step_diagonal.geometry import halts_of, run_of, runs_of
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, exchanged_axes, scaled
@@ -127,7 +127,7 @@ class DiagonalSpec(MethodSpec):
         yield Held(
             "displacement",
             "the way along the beam to where it was read",
-            off_prediction(session, path, groups(readings.setup, readings.repeat)),
+            off_prediction(session, path, readings.repeat_of_setup),
             _ERROR + _SCALE * length + _TILT * across,
         )
 
@@ -137,7 +137,7 @@ SPEC = DiagonalSpec()
 
 def _off_diagonal(session: Session) -> Array:
     path, _, outside = _along_run(session)
-    group = groups(session.readings.setup, session.readings.repeat)
+    group = session.readings.repeat_of_setup
     return np.asarray(
         relative_misfit(session, path, group) + np.linalg.norm(outside, axis=1) / typical_extent(path, group)
     )

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, unit_vectors
+from machine_tool_calibration.arrays import Array, BoolArray, groups, unit_vectors
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import mistakes
 from machine_tool_calibration.session.checks.nominal_geometry import (
@@ -198,8 +198,7 @@ def _off_again(session: Session) -> Array:
     """(k,) displacements off the middle one that the same station read in the same repeat at the same place, m."""
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     place = distinct_places(readings.position())[1]
-    group = np.unique(np.column_stack([readings.setup, readings.repeat, place]), axis=0, return_inverse=True)[1]
-    group = group.reshape(-1)  # of one shape in every version of NumPy
+    group = groups(readings.setup, readings.repeat, place)
     order = np.lexsort((readings.displacement, group))
     first, count = np.unique(group[order], return_index=True, return_counts=True)[1:]
     return np.asarray(np.abs(readings.displacement - readings.displacement[order][first + count // 2][group]))

@@ -96,9 +96,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
             self._fixed.add(name)
             constraints.append("set while the node is not configured")
         descriptor = ParameterDescriptor(
-            name=name,
-            description=f"{says} [{unit}]" if unit else says,
-            additional_constraints="; ".join(constraints),
+            name=name, description=f"{says} [{unit}]" if unit else says, additional_constraints="; ".join(constraints)
         )
         if any(end is not None for end in within):
             low, high = (-1e308 if within[0] is None else within[0]), (1e308 if within[1] is None else within[1])
