@@ -215,8 +215,9 @@ def test_what_the_handler_of_an_event_raises_is_logged_and_the_node_goes_on(made
 
 def test_a_node_that_is_deactivated_leaves_the_graph_and_begins_anew(made):
     node = made(AxisSimulator)
-    (answer,) = node.set_parameters([Parameter("speed", value=0.1)])
-    assert not answer.successful and "cannot be set while the node is configured" in answer.reason
+    for parameter in (Parameter("speed", value=0.1), Parameter("use_sim_time", value=True)):
+        (answer,) = node.set_parameters([parameter])
+        assert not answer.successful and "cannot be set while the node is configured" in answer.reason
     topics = {publisher.topic_name for publisher in node.publishers}
     assert {"/joint_states", "/axes/executed"} <= topics
     epoch = node._motion

@@ -57,7 +57,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
         self._last_ignored = ""
         self._failed: set[str] = set()
         self.choices: dict[str, tuple[str, ...]] = {}  # values of a parameter that are allowed, by its name
-        self._fixed: set[str] = set()
+        self._fixed = {"use_sim_time"}  # parameters that are set while the node is not configured
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **more)
         # what was given, until the node declares it
         self._given = set(self.get_parameters_by_prefix("")) - set(_OF_ROS)
