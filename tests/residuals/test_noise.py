@@ -16,7 +16,7 @@ from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
-from machine_tool_calibration.residuals.noise import noise_of
+from machine_tool_calibration.residuals.noise import noise_of, pooled, rounding_of
 from machine_tool_calibration.residuals.places import _beside, _moran, alike_beside_p
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
@@ -96,6 +96,32 @@ def test_places_in_any_order_are_alike_by_chance_alone() -> None:
     assert np.mean(found) == pytest.approx(0.0, abs=0.1)
     assert np.std(found) == pytest.approx(1.0, abs=0.1)
     assert _moran(np.sort(values), pairs) > 5.0
+
+
+def test_what_another_session_misses_is_no_noise_of_this_one_and_their_order_tells_nothing() -> None:
+    """One machine in two sessions, of which the second saw it warm up."""
+
+    def model(seed: int, *effects: FlawSpec) -> MethodModel:
+        spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed, effects=effects)
+        return build_model(simulate(spec).session)[0]
+
+    sound, warm = model(3), model(3, FlawSpec(id="warmup_x", size=30e-6))
+    alone = noise_of(fit_models([sound]).fits[0])
+    both = fit_models([sound, warm], ("sound", "warm"))
+    beside = [noise_of(fit) for fit in both.fits]
+    assert alone.from_repeats is not None and both.reduced_chi_square > 4.0
+    assert beside[0].from_repeats == pytest.approx(alone.from_repeats, rel=0.2)
+    there, back = pooled(beside, 0.5), pooled(beside[::-1], 0.5)
+    assert there.from_repeats is not None and there.from_repeats == pytest.approx(back.from_repeats)
+    assert (there.repeats, there.as_read, there.chi_square_p) == (beside[0].repeats + beside[1].repeats, None, 0.5)
+    assert min(one.from_repeats or 0.0 for one in beside) < there.from_repeats
+
+
+def test_readings_that_are_rounded_scatter_by_the_digit_at_least() -> None:
+    assert rounding_of(np.array([0.185, 0.184, 0.185, np.nan])) == pytest.approx(0.001 / np.sqrt(12.0))
+    assert rounding_of(0.1 + 1e-7 * np.array([0.0, 20.0, 35.0, 50.0])) == pytest.approx(5e-7 / np.sqrt(12.0), rel=1e-6)
+    assert rounding_of(np.full(5, 0.185)) == rounding_of(np.zeros(0)) == 0.0
+    assert rounding_of(np.random.default_rng(1).normal(size=9)) == 0.0  # a few values far apart
 
 
 def test_repeats_as_they_were_read_hold_what_runs_differ_by() -> None:

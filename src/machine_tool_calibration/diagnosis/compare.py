@@ -25,7 +25,7 @@ from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
-from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, noise_of
+from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.sums import residual_sums
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
@@ -290,18 +290,12 @@ def _overall(joint: JointFit, residuals: Array) -> Overall:
 
 def _whole(fit: Fit, each: pd.DataFrame) -> tuple[Overall, Noise]:
     """Of one of several sessions: its sum of squares over what is left of its own readings by the common model."""
+    noise = noise_of(fit)
     if len(fit.joint.assembly.models) == 1:
-        return _overall(fit.joint, fit.residuals), noise_of(fit)
+        return _overall(fit.joint, fit.residuals), noise
     left, squares = float(each["free"].sum()), float(each["square"].sum())
-    seen = left > _LEAST_LEFT
-    p = float(special.chdtrc(left, squares)) if seen else 1.0
-    place, declared, scatter = fit.model.observations.place, fit.model.observations.session.sigma, None
-    repeats = len(place) - len(np.unique(place))
-    if repeats >= FEWEST_REPEATS:
-        within = each["normal"] - each["normal"].groupby(place).transform("mean")
-        scatter = declared * float(np.sqrt(np.sum(within**2) / repeats))
-    overall = Overall(len(each), rms(fit.residuals), squares / left if seen else 1.0, round(left), p)
-    return overall, Noise(declared, scatter, repeats, p, None)
+    reduced = squares / left if left > _LEAST_LEFT else 1.0
+    return Overall(len(each), rms(fit.residuals), reduced, round(left), noise.chi_square_p), noise
 
 
 def _parts(fit: Fit, each: pd.DataFrame, along: Mapping[str, Array]) -> pd.DataFrame:

@@ -38,7 +38,7 @@ from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
-from machine_tool_calibration.residuals.noise import Noise, noise_of
+from machine_tool_calibration.residuals.noise import Noise, noise_of, pooled
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -221,7 +221,7 @@ def _search(
     candidates, excluded = _candidates(chosen, first)
     progress(f"{len(candidates)} effects, alone and together", 0.2)
     search, predicted, added = _feasible(searched, first, candidates, progress)
-    noise = search.noise[0]
+    noise = pooled(search.noise, search.fit.p_value)
     if repeated is not None:
         said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
         noise = replace(noise, **said)

@@ -53,6 +53,10 @@ the slopes and bows of fewer are the machine's own, unless over several axes the
 ENOUGH_REPEATS = 8
 """Degrees of freedom of repeats from which these alone say what does not reproduce, so that a lack of fit cannot."""
 
+ENOUGH_PLACES = 8
+"""Places beside the model's unknowns from which their means are looked at in place of their readings: of fewer, an
+effect of several coefficients leaves nothing, whatever was read."""
+
 # --- what every model lacks a little ---
 
 IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.2, 0.5: 0.2, 1.0: 0.1}

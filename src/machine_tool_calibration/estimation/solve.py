@@ -229,7 +229,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
             normal = base.normal(damping)
             return base.solution(normal, base.after(normal.step), base.normal(), count)
     raise ModelError(
-        f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets, and whether there "
+        f"the fit does not converge ({count} steps); check positions of stations and targets, and whether there "
         "are enough of both (`mtcal info` says what each model needs)"
     )
 

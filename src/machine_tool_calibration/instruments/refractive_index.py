@@ -24,13 +24,8 @@ def refractivity(temperature: Array, pressure: Array, humidity: Array) -> Array:
 
 
 def index_deviation(temperature: Array, pressure: Array | None, humidity: Array | None) -> Array:
-    """(n,) index of the air minus that of standard air; what was not recorded is taken as standard.
-
-    Pressure in Pa, humidity in percent where it exceeds 1.5.
-    """
+    """(n,) index of the air minus that of standard air; what was not recorded is taken as standard."""
     air_pressure = np.full_like(temperature, STANDARD_AIR[1]) if pressure is None else pressure
     relative = np.full_like(temperature, STANDARD_AIR[2]) if humidity is None else humidity
-    if np.nanmax(relative) > 1.5:
-        relative = relative / 100.0
     standard = refractivity(*(np.array([value]) for value in STANDARD_AIR))[0]
     return np.asarray(refractivity(temperature, air_pressure, relative) - standard)

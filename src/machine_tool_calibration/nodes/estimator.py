@@ -44,7 +44,7 @@ class Estimator(ManagedNode):
 
     def activate(self) -> None:
         """See `ManagedNode`."""
-        self._text = ""
+        self._text, self._is_described_anew = "", False
         self._description: Description | None = None
         self._received = Received()
         self._resets = 0
@@ -85,13 +85,16 @@ class Estimator(ManagedNode):
 
     def _described(self, message: String) -> None:
         self._description = description_of(message.data)  # refused here, and not at the next request
-        self._text = message.data
+        self._text, self._is_described_anew = message.data, True
 
     def _read(self, message: JointState) -> None:
         reading = Reading(list(message.name), list(message.position))
         if forgotten := self._received.add(from_message(message.header.stamp), reading, self._description):
-            self._description = None  # it may be that of the session before
+            self._found = ()
+            if not self._is_described_anew:
+                self._description = None  # it may be that of the session before
             self.get_logger().warning(f"another session has begun; {forgotten} readings forgotten")
+        self._is_described_anew = False
         self._heard, self._unheard = True, False
 
     def _matched(self, event: QoSSubscriptionMatchedInfo) -> None:
@@ -104,7 +107,7 @@ class Estimator(ManagedNode):
     def _reset(self) -> str:
         words = f"{len(self._received)} readings forgotten"
         self._received.forget()
-        self._unheard = False
+        self._unheard, self._found = False, ()
         self._resets += 1
         self._show()
         return words

@@ -389,7 +389,7 @@ class Sequencer:
         self.message = f"{reason}; measuring again from a known target"
         step = self.step
         assert step is not None
-        known = self._group.taken[-self.timing.revisits :] if self.timing.revisits else []
+        known = self._group.taken[-self.timing.revisits :]
         visits = [Visit(old, False, reading) for old, reading in known]
         visits.append(Visit(step, False))
         visits[0].datum = True

@@ -39,6 +39,8 @@ AS_GOOD = 0.1
 _OF_PLACES = ("place", "target")
 # What does not reproduce over the residual, from which it is what limits.
 _LIMITS = 0.7
+# Share of the whole scatter from which that of repeats is part of the story.
+_PARTLY = 0.5
 # Readings for one independent one from which the memory of the noise is told.
 _MEMORY = 1.5
 # Scatter of repeats over that of all, below which places differ more than their repeats.
@@ -173,13 +175,16 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     return say("next.smaller", measure=best.measure)
 
 
-def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "scatter", "places"]:
-    """Where readings scatter more than declared: nobody knows what does without repeats, these do, or places do."""
+def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "scatter", "both", "places"]:
+    """Where readings scatter more than declared: without repeats nobody knows what does; these do, places, or both."""
     noise = diagnosis.noise
     if noise.as_read is None and noise.from_repeats is None:
         return "repeats"
-    as_read = noise.is_all(noise.as_read, diagnosis.fits[-1].reduced_chi_square)
-    return "scatter" if diagnosis.noisy or as_read else "places"
+    whole = noise.declared * float(np.sqrt(diagnosis.fits[-1].reduced_chi_square))
+    share = max(noise.as_read or 0.0, noise.from_repeats or 0.0) / whole
+    if diagnosis.noisy or share > priors.AS_NOISY:
+        return "scatter"
+    return "both" if share > _PARTLY else "places"
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:

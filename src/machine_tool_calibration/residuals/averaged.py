@@ -9,34 +9,49 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.observations import SAME_POSITION
+from machine_tool_calibration.model.reproducibility import Family
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
 
-def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
-    """The session with the mean of the readings of each place, and what its repeats say of the noise.
+def places_differ(fit: Fit) -> Noise | None:
+    """What repeats say of the noise where direct deviations of places differ by more than their repeats do.
 
-    A hole that was drilled once and measured five times shows the machine once. Averaged are direct deviations whose
-    places differ along at least two axes and by more than their repeats do; the readings of a single axis are the
-    machine's own, run after run.
+    A hole that was drilled once and measured five times shows the machine once: so it is where places differ along at
+    least two axes. The readings of a single axis are the machine's own, run after run.
 
     Args:
         fit: of the model without further effects.
 
     Returns:
-        None where nothing is to be averaged.
+        None where they do not differ, or nothing says so.
     """
     observations = fit.model.observations
-    session, readings = observations.session, observations.readings
-    if not spec_of(session).reads_machine or (np.ptp(observations.position, axis=0) > SAME_POSITION).sum() < 2:
-        return None
-    place = observations.place
-    count = np.bincount(place)
-    if count.max() < 2:
+    moved = (np.ptp(observations.position, axis=0) > SAME_POSITION).sum()
+    if not spec_of(observations.session).reads_machine or moved < 2 or np.bincount(observations.place).max() < 2:
         return None
     noise = noise_of(fit)
-    if noise.lack_of_fit_p is None or noise.lack_of_fit_p > priors.LACK_OF_FIT_P:
+    return None if noise.lack_of_fit_p is None or noise.lack_of_fit_p > priors.LACK_OF_FIT_P else noise
+
+
+def own_of_places(fit: Fit) -> tuple[Family, ...]:
+    """What each place has for itself, as a random constant, where places differ and their means are not looked at."""
+    place = fit.model.observations.place
+    return (Family("place", place, np.ones((1, len(place)))),) if places_differ(fit) else ()
+
+
+def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
+    """The session with the mean of the readings of each place, where these differ, and what repeats say of the noise.
+
+    None where so few places are left beside the model's unknowns that a further effect would explain any means.
+    """
+    observations = fit.model.observations
+    session, readings, place = observations.session, observations.readings, observations.place
+    count = np.bincount(place)
+    unknowns = len(readings) - fit.solution.degrees_of_freedom
+    noise = places_differ(fit)
+    if noise is None or len(count) - unknowns < priors.ENOUGH_PLACES:
         return None
     first = np.unique(place, return_index=True)[1]
 

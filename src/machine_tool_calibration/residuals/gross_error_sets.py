@@ -47,12 +47,13 @@ class Bulk:
     odds: float
 
 
-def bulk_of(size: Array, redundancy: float, explained: BoolArray | None = None) -> Bulk:
+def bulk_of(size: Array, redundancy: float, least: float, explained: BoolArray | None = None) -> Bulk:
     """The bulk of predicted residuals: those beyond the limit have no say.
 
     Args:
         size: their sizes over the declared uncertainty.
         redundancy: degrees of freedom of their scatter.
+        least: scatter by the rounding of readings, of which no reading stands out.
         explained: which are no gross errors, however large.
     """
     if not len(size) or not np.isfinite(size).all():
@@ -61,6 +62,7 @@ def bulk_of(size: Array, redundancy: float, explained: BoolArray | None = None) 
     inside = np.ones(len(size), dtype=bool)
     for _ in range(ROUNDS):
         scale, tails = _scale_and_tails(size[inside], redundancy)
+        scale = max(scale, least)
         beyond = single[single > priors.SUSPECTED * scale] / scale
         width = max(priors.WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else priors.WIDTH
         count = 0

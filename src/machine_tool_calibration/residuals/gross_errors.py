@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
@@ -47,6 +47,7 @@ from machine_tool_calibration.residuals.gross_error_sets import (
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.residuals.neighbours import Neighbours, same_place
+from machine_tool_calibration.residuals.noise import rounding_of
 from machine_tool_calibration.session.session import Session
 
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
@@ -159,6 +160,7 @@ class _Search:
         self.readings = model.observations.readings
         self.neighbours = Neighbours(self.readings, model.observations.direction)
         self.sigma = model.sigma
+        self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
         theta, local = self.problem.zero
         self.start = theta, local[0]
@@ -210,9 +212,9 @@ class _Search:
         self.start, every = (theta, local[0]), np.arange(self.n)
         spare = max(1.0 - unknowns / self.n, 0.1)
         off, neighbours = residuals[0] / np.sqrt(spare), self.neighbours
-        noise = bulk_of(np.abs(off), spare * self.n)
+        noise = bulk_of(np.abs(off), spare * self.n, self.rounding)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
-        beside = bulk_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
+        beside = bulk_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some), self.rounding)
         self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
         of_a_machine = np.abs(off) * self.sigma < _COURSE
@@ -241,7 +243,7 @@ class _Search:
         spread = np.sqrt(np.where(kept > priors.JUDGED, kept, np.inf))
         dof = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
-        noise = bulk_of(np.abs(residual / spread)[seen], dof, self.explained[seen])
+        noise = bulk_of(np.abs(residual / spread)[seen], dof, self.rounding, self.explained[seen])
         return _Fit(plain, solution, weight, residual, spread, noise)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:

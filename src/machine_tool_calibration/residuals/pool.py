@@ -16,6 +16,7 @@ from machine_tool_calibration.model.fit import JointFit, changed, screen_columns
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations, neighbours_of
 from machine_tool_calibration.model.reproducibility import reproducibility
+from machine_tool_calibration.residuals.averaged import own_of_places
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _LEAST_SIGNAL = 0.3
@@ -103,7 +104,8 @@ class Pool:
         Functions of known sizes are the last families, in units of their own: what every model lacks a little, what
         laws leave open, and unknowns of the model that are random functions.
         """
-        every = [reproducibility(o) for o in self.observations]
+        pairs = zip(self.fit.fits, self.observations, strict=True)
+        every = [(*reproducibility(o), *own_of_places(fit)) for fit, o in pairs]
         names = tuple(dict.fromkeys(family.name for own in every for family in own))
         columns, place = [np.zeros((0, len(self)))], [np.zeros(0, dtype=np.int64)]
         for own, piece in zip(every, self.pieces, strict=True):

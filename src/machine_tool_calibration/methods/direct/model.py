@@ -375,7 +375,7 @@ def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]
         up, down = run["count_up"], run["count_down"]
         dof += int((up - 1).clip(0).sum() + (down - 1).clip(0).sum())
         squares += float(np.nansum((up - 1) * run["s_up"] ** 2) + np.nansum((down - 1) * run["s_down"] ** 2))
-        reversal += float(np.sum(up * down / (up + down) * run["reversal"] ** 2))
+        reversal += float(np.nansum(up * down / (up + down) * run["reversal"] ** 2))
     return squares, dof, reversal
 
 

@@ -237,15 +237,22 @@ class Goals:
                 post(self._node, lambda: self._end(goal, outcome, done))
 
     def _end(self, goal: _Goal, outcome: Any, done: Callable[[Any], tuple[str, Mapping[str, object]]]) -> None:
+        if self._is_closed:  # since it was posted
+            return
         self._present, self.step, self.share = None, "", 0.0
         found: Mapping[str, object] = {}
+        if not isinstance(outcome, CalibrationError):
+            try:
+                self.last, found = done(outcome)
+            except Exception as error:  # a client waits for the outcome
+                self._node.note_fault(goal.verb, error)
+                outcome = CalibrationError(f"unexpected {type(error).__name__}: {error}")
         if isinstance(outcome, _CancelledError):
             goal.status, self.level = GoalStatus.STATUS_CANCELED, messages.Level.WARN
             self.last = f"cancelled: {goal.doing}"
         elif isinstance(outcome, CalibrationError):
             goal.status, self.level, self.last = GoalStatus.STATUS_ABORTED, messages.Level.ERROR, str(outcome)
         else:
-            self.last, found = done(outcome)
             goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, messages.Level.OK
         self._outcomes.tell(goal.verb, goal.number.hex, messages.stamp_now(self._node), self.last, found, self.level)
         self._show()
