@@ -119,7 +119,8 @@ def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> Non
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 2.0, 20.0])
 def test_a_single_size_is_generalised_least_squares(monkeypatch: pytest.MonkeyPatch, ratio: float) -> None:
     sizes_tried(monkeypatch, [ratio])
-    monkeypatch.setattr(marginal_fit, "_ENOUGH", 0)  # what few readings leave open of the noise's memory
+    monkeypatch.setattr(marginal_fit, "_ENOUGH", 0)
+    monkeypatch.setattr(marginal_fit, "_NUMBERS", 0)  # what few readings leave open of the noise's memory
     fit, model, spread, readings = axis(2.0)
     size = in_declared_units(model, spread, readings, ratio)
     expected = generalised(model, spread, readings, size)
@@ -206,6 +207,7 @@ def test_an_effect_of_plausible_size_is_what_the_readings_say_and_one_beyond_it_
 ) -> None:
     sizes_tried(monkeypatch, [0.5])
     monkeypatch.setattr(marginal_fit, "_ENOUGH", 0)
+    monkeypatch.setattr(marginal_fit, "_NUMBERS", 0)
     fit, model, spread, readings = axis(0.0, limit=100.0 * SIGMA)
     expected = generalised(model, spread, readings, in_declared_units(model, spread, readings, 0.5))
     known = fit.marginal.scatter**2 * expected.covariance

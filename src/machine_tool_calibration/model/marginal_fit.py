@@ -66,8 +66,8 @@ class Solved:
 _COVERED, _MOST_SIZES, _MOST_WITH_RANDOM = 0.99, 24, 3
 # Readings up to which what every model lacks is in what is published: of more, U is what grows least.
 _ENOUGH = 20_000
-# Readings times unknowns up to which the noise's memory is in it: of many runs, their own functions take what is slow.
-_NUMBERS = 5_000_000
+# Readings times unknowns up to which the noise's memory is in it, for the computer's.
+_NUMBERS = 10_000_000
 # Share of a function's squares outside the model below which the model absorbs it: a run's constant, mostly.
 _LEAST_SHARE_LEFT = 1e-3
 
@@ -103,7 +103,7 @@ class MarginalFit:
     squares: float  # weighted sum of squared residuals that is left beside what does not reproduce
     # (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`
     ratios: Array
-    by_memory: Array | None = None  # what of the covariance is by the noise's memory
+    by_memory: Array | None = None  # what of the covariance is by the noise's memory; None where it was not looked at
 
     @property
     def independent(self) -> Array:
@@ -111,8 +111,10 @@ class MarginalFit:
         return self.solution.covariance if self.by_memory is None else self.solution.covariance - self.by_memory
 
     @property
-    def memory_factor(self) -> float:
+    def memory_factor(self) -> float | None:
         """Standard uncertainty of what the noise's memory widens most, over that by independent noise."""
+        if self.by_memory is None:
+            return None
         whole, own = np.diag(self.solution.covariance), np.diag(self.independent)
         return float(np.sqrt(np.max(whole[own > 0.0] / own[own > 0.0], initial=1.0)))
 
@@ -157,13 +159,13 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     if sizes := effect_sizes(solved.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
-    by_memory = np.zeros_like(covariance)
-    if problem.n_readings <= _ENOUGH and problem.n_readings * wide.size <= _NUMBERS:
+    by_memory = None
+    if problem.n_readings * wide.size <= _NUMBERS:
         by_memory = added_by_memory(observed, wide, solution, found.mean, found.estimator, found.squares, found.scatter)
     published = replace(
         solution,
         theta=theta + mean,
-        covariance=covariance + by_memory,
+        covariance=covariance if by_memory is None else covariance + by_memory,
         undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
         determined=np.pad(solution.determined, (0, u), constant_values=True),
         local=local_steps(wide, theta, solution.local, mean) if mean.any() else solution.local,

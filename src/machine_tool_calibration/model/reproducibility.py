@@ -26,6 +26,9 @@ _FOR_A_DEGREE = 3
 # Readings of repeats that are enough.
 _ENOUGH = 20_000
 _ROUNDING = 1e-9
+# Groups of a family, and functions of them all, at most: the fit's time goes with the third power of these. What so
+# many groups have each for itself is in the noise, and its memory.
+_MOST_GROUPS, _MOST_FUNCTIONS = 400, 600
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
 
@@ -126,10 +129,10 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     run = in_order_of_appearance(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)
     mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]
-    families = [Family("run", run, _smooth(observations, run))]
+    families = [_family(observations, "run", run)]
     mounting = in_order_of_appearance(mounting)
     if not np.array_equal(run, mounting):
-        families.append(Family("mounting", mounting, _smooth(observations, mounting)))
+        families.append(_family(observations, "mounting", mounting))
     return tuple(family for family in families if family.shapes.any())
 
 
@@ -180,6 +183,13 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
     return PureError(whole, dof, lost)
 
 
+def _family(observations: Observations, name: str, group: IntArray) -> Family:
+    """One with smooth functions of the groups' time; of many groups with fewer, of very many for several in a row."""
+    group = group // -(-(int(group.max(initial=0)) + 1) // _MOST_GROUPS)
+    most = max(_MOST_FUNCTIONS // (int(group.max(initial=0)) + 1), 1)
+    return Family(name, group, _smooth(observations, group)[:most])
+
+
 def _smooth(observations: Observations, group: IntArray) -> Array:
     """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded."""
     time, weights = observations.clock, np.array(priors.SERIES if observations.timed else priors.SERIES[:1])
@@ -197,7 +207,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     run = observations.readings.repeat_of_setup
     if len(moved) >= 2:
         if _tell(observations.place, run):
-            yield Family("run", run, _smooth(observations, run))
+            yield _family(observations, "run", run)
         yield from _rows(observations, moved)
         return
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
@@ -205,7 +215,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     ways = in_order_of_appearance(_passes(observations, moved[0])) if moved else run
     for name, group in (("run", run), ("pass", ways)):
         if group.max(initial=-1) + 1 >= priors.SEVERAL_RUNS and (name == "run" or (group != run).any()):
-            yield Family(name, group, _smooth(observations, group))
+            yield _family(observations, name, group)
 
 
 def _tell(place: IntArray, run: IntArray) -> bool:

@@ -212,7 +212,9 @@ def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
     The most that the former may be only where the model fits, as runs share what it lacks.
     """
     yield from reproducibility_words(document["spread"])
-    if document["memory_factor"] >= _MEMORY:
+    if document["memory_factor"] is None:
+        yield say("fit.memory_unknown")
+    elif document["memory_factor"] >= _MEMORY:
         yield say("fit.memory", times=rounded(document["memory_factor"]))
     if not only_if_right(document["p_value"], document["error_map"]):
         yield from not_ruled_out(document["spread"])

@@ -14,8 +14,10 @@ import pytest
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.rotary_axis.model import build
+from machine_tool_calibration.methods.rotary_axis.spec import RotarySpec
 from machine_tool_calibration.methods.rotary_axis.start import suppositions
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.description import Place, RotaryAxis
 from machine_tool_calibration.session.session import Session
 
 # Enough to tell a mistake.
@@ -170,3 +172,23 @@ def test_two_targets_from_three_stations_are_not_enough(rotary: SimpleNamespace)
     three = session.with_readings(session.readings.select(session.readings.setup != 1))
     with pytest.raises(SessionError, match="two targets from 3 stations leave the places of the stations open"):
         check_session(three)
+
+
+def test_stations_and_targets_in_one_plane_across_the_axis_tell_no_heights(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(5).session
+    about = session.description.as_a(RotaryAxis)
+    every, place = np.ones(len(session.readings), dtype=bool), Place("session.yaml", "observations.csv")
+
+    def raised(height: float) -> Session:
+        """All in the plane but one station, which stands so high above it."""
+        stations, targets = (
+            tuple(one.model_copy(update={"position": (*one.position[:2], 0.0)}) for one in some)
+            for some in (about.setups, about.targets)
+        )
+        first = stations[0].model_copy(update={"position": (*stations[0].position[:2], height)})
+        flat = about.model_copy(update={"setups": (first, *stations[1:]), "targets": targets})
+        return replace(session, description=flat)
+
+    with pytest.raises(SessionError, match=r"one plane across the axis, to 1 mm: .* a tenth of the distance off that"):
+        RotarySpec().enough(raised(1e-3), every, place)
+    RotarySpec().enough(raised(0.3), every, place)

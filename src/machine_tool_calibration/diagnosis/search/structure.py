@@ -350,8 +350,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     if "path" in out:
         out["path within the setup"] = within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
-            # There the reading is the deviation itself, which explains itself.
-            out["displacement"] = observations.readings.displacement
+            # As the places say it, so that the noise of a reading does not explain itself.
+            off = np.bincount(observations.run, observations.readings.displacement - observations.path)
+            out["displacement"] = observations.path + (off / np.bincount(observations.run))[observations.run]
     return out
 
 

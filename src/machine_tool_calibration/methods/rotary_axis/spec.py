@@ -24,6 +24,7 @@ from machine_tool_calibration.session.description import Place, RotaryAxis, rota
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Readings, Session, distinct_places, places_among
+from machine_tool_calibration.words import figures
 
 
 class RotarySpec(MethodSpec):
@@ -50,6 +51,7 @@ class RotarySpec(MethodSpec):
         description = session.description.as_a(RotaryAxis)
         enough_stations(session, description.setups, measured, place, needed=3, method=session.method)
         refuse_one_line(description.setups, place)
+        _refuse_one_plane(description, place)
         _enough_angles(session, description, measured, place)
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
@@ -59,6 +61,22 @@ class RotarySpec(MethodSpec):
 
 
 SPEC = RotarySpec()
+
+# Slope of the steepest line of sight to the plane across the axis, below which heights and tilts do not show.
+_FLAT = 0.01
+
+
+def _refuse_one_plane(description: RotaryAxis, place: Place) -> None:
+    along = "abc".index(rotary_column(description))
+    stations, targets = (np.array([one.position for one in some]) for some in (description.setups, description.targets))
+    sight = stations[:, None] - targets
+    height = np.abs(sight[..., along])
+    if (height < _FLAT * np.linalg.norm(sight, axis=2)).all():
+        raise SessionError(
+            f"{place.description}: stations and targets stand in one plane across the axis, to "
+            f"{figures(1e3 * float(height.max()))} mm: no distance between them shows heights or tilts; put a station "
+            "or a target a tenth of the distance off that plane"
+        )
 
 
 def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArray, place: Place) -> None:

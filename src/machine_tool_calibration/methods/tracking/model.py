@@ -232,8 +232,9 @@ def _known_places(model: TrackingModel) -> Iterator[Prior]:
         yield Prior(weights, 0.0, float(model.known[k]))
 
 
-# Standard uncertainty above which a position error counts as not determined, m.
-_VAGUE = 1e-4
+# Standard uncertainty above which a position error counts as not determined, m; and that of readings which are known
+# no better than a tenth of it, over theirs.
+_VAGUE, _VAGUE_READINGS = 1e-4, 10.0
 # Stations lie in a plane or on a line where their least extent is below this share of the largest.
 _FLAT = 0.05
 
@@ -340,7 +341,8 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
     own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
     # A direction known no better than this says nothing of a machine, and a linear fit little of it.
-    vague = uncertainty > _VAGUE
+    most = max(_VAGUE, _VAGUE_READINGS * model.observations.session.sigma)
+    vague = uncertainty > most
     error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
     covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
     content = {
@@ -356,14 +358,14 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     }
     places = {k: ", ".join(f"{1e3 * v:.6g}" for v in model.targets[k]) for k in network.why}
     lost = tuple(NotDetermined(f"target ({places[k]}) mm", why) for k, why in network.why.items())
-    lost += tuple(_vague(model, vague, j) for j in range(d) if vague[:, j].any())
+    lost += tuple(_vague(model, vague, j, most) for j in range(d) if vague[:, j].any())
     names = [parameter.name for parameter in model.own]
     moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
     return ErrorMap(content, model.targets, in_space(error), in_space(uncertainty), in_space(covariance), lost, moved)
 
 
-def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
-    """A direction that the arrangement of the stations hardly senses."""
+def _vague(model: TrackingModel, vague: BoolArray, j: int, most: float) -> NotDetermined:
+    """A direction that the arrangement of the stations hardly senses: by more than so much, m, it is uncertain."""
     count = int(vague[:, j].sum())
     where = "all targets" if count == len(vague) else f"{count} of {len(vague)} targets"
     centred = model.stations[:, : model.dimension] - model.stations[:, : model.dimension].mean(axis=0)
@@ -371,5 +373,5 @@ def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
     # A third or second direction in which the stations hardly differ.
     flat = len(extents) < model.dimension or extents[-1] < _FLAT * extents[0]
     kind = "_line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "_plane"
-    why = say(f"undetermined.vague{kind if flat else ''}", size=f"{1e3 * _VAGUE:g}")
+    why = say(f"undetermined.vague{kind if flat else ''}", size=f"{1e3 * most:g}")
     return NotDetermined(f"position_error along {'xyz'[j]} of {where}", why)
