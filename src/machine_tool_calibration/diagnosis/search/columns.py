@@ -20,6 +20,8 @@ _LEADING = (1, 2, 4)
 # Share of a column's squares that its variation within the runs is at least explained for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
+# Standard uncertainties by which a coefficient is surely beyond a limit.
+_SURELY = 3.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: S
     blocks, plain, first = list[Block](), list[tuple[slice, Array]](), 0
     for c, candidate in enumerate(every):
         if c == len(candidates):
-            own_places = (block.own for block in blocks if not block.shaped.shape)
+            own_places = (block.own for block in blocks if not block.shaped.shape and _may_be(block, gram))
             plain = [(place, basis_of(gram.inner[place, place])) for place in own_places]
         few = _few(candidate, candidates)
         for shaped in candidate.shapes:
@@ -78,7 +80,7 @@ def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: S
                     share = -float(np.log(candidate.among(shaped) * (len(leading) + 1)))
                     blocks.append(Block.of(c, place, own, squares, share))
             first = past
-    blocks = _without_repeated(blocks, gram.inner, len(candidates))
+    blocks = _without_repeated(blocks, gram, len(candidates))
     return Columns(pool, every, len(candidates), projected, gram, blocks)
 
 
@@ -116,9 +118,18 @@ def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int
     return least > 0.0 and any(np.sum((basis.T @ inner[place, first]) ** 2) > least for place, basis in plain)
 
 
-def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:
+def _may_be(block: Block, gram: Gram) -> bool:
+    """Whether an effect of a size that occurs would do what the readings show along its columns."""
+    k, basis = len(block.shaped.columns), basis_of(gram.inner[block.own, block.own])
+    along = basis.T @ gram.data[block.own]
+    scatter = np.sqrt(max((gram.squares - along @ along) / max(gram.dof - k, 1), 1.0))
+    size, u = basis @ along, scatter * np.sqrt(np.sum(basis**2, axis=1))
+    return bool(((size + _SURELY * u > block.low[:k]) & (size - _SURELY * u < block.high[:k])).all())
+
+
+def _without_repeated(blocks: list[Block], gram: Gram, effects: int) -> list[Block]:
     """Without structures that lie in the span of an effect, one of the first so many candidates: they are it."""
-    mine = [block for block in blocks if block.candidate < effects]
+    inner, mine = gram.inner, [block for block in blocks if block.candidate < effects and _may_be(block, gram)]
     free = [block for block in blocks if not block.shaped.coefficients]
     if not mine or not free:
         return blocks
