@@ -29,7 +29,7 @@ class Memory:
     """What residuals say of the noise's memory."""
 
     log_evidence: Array  # (r,) logarithm of the likelihood of `priors.CORRELATIONS`, but for what all residuals share
-    begins: float = 0.0  # share of the readings that begin a series: in which only neighbours are correlated
+    length: float = np.inf  # readings of a series, in which alone neighbours are correlated: the mean
 
     @property
     def probability(self) -> Array:
@@ -38,21 +38,17 @@ class Memory:
 
     @property
     def readings_per_independent(self) -> float:
-        """Readings that tell as much of what is slow as one independent reading: its mean."""
-        return float(self.probability @ per_independent(_RHO, self.begins))
+        """Readings that tell as much of what is slow as one independent reading: its mean, a series' length at most."""
+        return min(float(self.probability @ per_independent(_RHO)), self.length)
 
     def log_evidence_of(self, k: float) -> float:
         """Logarithm of the likelihood of a memory by which k readings tell as much as an independent one."""
-        return float(np.interp(k, per_independent(_RHO, self.begins), self.log_evidence))
+        return float(np.interp((k - 1.0) / (k + 1.0), _RHO, self.log_evidence))
 
 
-def per_independent(correlation: Array, begins: float = 0.0) -> Array:
-    """Readings that tell as much of what is slow as one independent reading, by the correlation rho of neighbours.
-
-    The inverse R^-1 of the correlations of m readings in a row sums to (m (1 - rho) + 2 rho) / (1 + rho). Of all
-    readings the share `begins` is the first of such a series.
-    """
-    return np.asarray((1.0 + correlation) / (1.0 - correlation + 2.0 * correlation * begins))
+def per_independent(correlation: Array) -> Array:
+    """Readings that tell as much of what is slow as one independent reading, by the correlation of neighbours."""
+    return np.asarray((1.0 + correlation) / (1.0 - correlation))
 
 
 def memory_of(residuals: Array, before: IntArray, after: IntArray, dof: float) -> Memory:
@@ -73,7 +69,7 @@ def memory_of(residuals: Array, before: IntArray, after: IntArray, dof: float) -
     steps = own @ own + rounding - 2.0 * _RHO * (own @ last) + _RHO**2 * (last @ last + rounding)
     squares = first @ first + _ROUNDING**2 * len(first) + steps / (1.0 - _RHO**2)
     log_evidence = -0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * dof * np.log(squares)
-    return Memory(log_evidence, len(first) / max(len(residuals), 1))
+    return Memory(log_evidence, len(residuals) / max(len(first), 1))
 
 
 def beyond_independent(memory: Memory, columns: Array, before: IntArray, after: IntArray) -> Array:
