@@ -31,25 +31,10 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "Budget",
-    "CalibrationError",
-    "Comparison",
-    "Conformity",
-    "Diagnosis",
-    "Effect",
-    "Features",
-    "Fit",
-    "Improvement",
-    "MapComparison",
-    "Measurement",
-    "__version__",
-    "catalogue",
-    "identify",
-    "improve",
-    "load",
-    "plot_improvement",
-    "simulate",
-]
+    "Budget", "CalibrationError", "Comparison", "Conformity", "Diagnosis", "Effect", "Features", "Fit",
+    "Improvement", "MapComparison", "Measurement", "__version__", "catalogue", "identify", "improve",
+    "load", "plot_improvement", "simulate",
+]  # fmt: skip
 
 if not TYPE_CHECKING:
     # Where each name is; a type checker reads the imports above instead.

@@ -29,18 +29,9 @@ _CONDITION_UNITS = {"air_pressure": "Pa", "relative_humidity": "1"}
 # Coordinates of a value in a result's table, and the unit of each where the table does not say it.
 _COORDINATES = {"position": "", "x": "m", "y": "m", "z": "m", "a": "rad", "b": "rad", "c": "rad"}
 _NEEDED = (
-    "laboratory.name",
-    "laboratory.city",
-    "laboratory.country",
-    "customer.name",
-    "customer.city",
-    "number",
-    "measured",
-    "location",
-    "machine.name",
-    "machine.serial",
-    "signatures",
-)
+    "laboratory.name", "laboratory.city", "laboratory.country", "customer.name", "customer.city", "number",
+    "measured", "location", "machine.name", "machine.serial", "signatures",
+)  # fmt: skip
 
 
 def lacks_for_dcc(own: Certificate) -> list[str]:

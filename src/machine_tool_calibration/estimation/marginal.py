@@ -124,18 +124,11 @@ class Marginal:
         return np.asarray(inner - self.half[..., left].swapaxes(-1, -2) @ self.half[..., right])
 
     def own(self, columns: IntArray) -> Array:
-        """([s,] blocks, k, k) inner products of the columns (blocks, k) of each block; kept, as all sets ask for them.
-
-        Without s where nothing is folded in.
-        """
+        """([s,] blocks, k, k) the same of the columns (blocks, k) of each block; kept, as all sets ask for them."""
         key = columns.tobytes()
         if key not in self._own:
-            before = self.before
-            own = (
-                before.own(columns)
-                if isinstance(before, Marginal)
-                else before.inner[columns[:, :, None], columns[:, None, :]]
-            )
+            before, pairs = self.before, (columns[..., None], columns[:, None])
+            own = before.own(columns) if isinstance(before, Marginal) else before.inner[pairs]
             half = np.moveaxis(self.half[..., columns], -3, -1)
             self._own[key] = own - half @ half.swapaxes(-1, -2) if half.shape[-1] else own
         return self._own[key]

@@ -15,7 +15,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, Term
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, first_states
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -124,9 +124,7 @@ def _mapped(fit: Fit, effects: Sequence[str]) -> IntArray:
     """The readings of which the map of direct deviations has a row: the first in each state at each place."""
     position = fit.model.observations.position
     fields = [t.field for t in fit.model.terms if t.name in effects and t.field is not None]
-    moved = np.concatenate([np.zeros((0, len(position), 3)), *fields]).transpose(1, 0, 2).reshape(len(position), -1)
-    key = np.concatenate([np.round(position * 1e9), moved], axis=1)
-    return np.asarray(np.sort(np.unique(key, axis=0, return_index=True)[1]))
+    return first_states(position, np.concatenate([np.zeros((0, len(position), 3)), *fields]))
 
 
 def _nearest(points: Array, places: Array, approach: Array) -> tuple[IntArray, IntArray]:

@@ -117,3 +117,9 @@ def together(observed: Sequence[Observations]) -> Observations:
     names = ("position", "direction", "table_direction", "path", "run")
     arrays: dict[str, Any] = {name: np.concatenate([getattr(o, name) for o in observed]) for name in names}
     return replace(observed[0], readings=joined([o.readings for o in observed]), rotation_direction=None, **arrays)
+
+
+def first_states(position: Array, fields: Array) -> IntArray:
+    """The first reading of each position (n, 3), once for every different state there of displacements (k, n, 3)."""
+    key = np.concatenate([np.round(position * 1e9), fields.transpose(1, 0, 2).reshape(len(position), -1)], axis=1)
+    return np.sort(np.unique(key, axis=0, return_index=True)[1])

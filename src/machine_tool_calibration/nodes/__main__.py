@@ -10,15 +10,10 @@ from pathlib import Path
 from machine_tool_calibration.errors import CalibrationError
 
 NODES = {
-    "axis_simulator": "AxisSimulator",
-    "estimator": "Estimator",
-    "instrument": "Instrument",
-    "player": "Player",
-    "probe": "Probe",
-    "procedure": "ProcedureNode",
-    "recorder": "Recorder",
+    "axis_simulator": "AxisSimulator", "estimator": "Estimator", "instrument": "Instrument",
+    "player": "Player", "probe": "Probe", "procedure": "ProcedureNode", "recorder": "Recorder",
     "rotary_pointer": "RotaryPointer",
-}
+}  # fmt: skip
 """Class of each node, by its name, which is its module's and its executable's."""
 
 _SAVES = ("player", "recorder")  # have something to finish when they are asked to end

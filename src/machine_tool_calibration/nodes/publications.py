@@ -107,16 +107,9 @@ def _marker(
 
 _UNKNOWN = "not determined"
 _CANDIDATE = (
-    "probability",
-    "p_value",
-    "delta_bic",
-    "rms_before",
-    "rms_after",
-    "explained_rms",
-    "cross_validated_gain",
-    "map_change_rms",
-    "plausible",
-)
+    "probability", "p_value", "delta_bic", "rms_before", "rms_after", "explained_rms",
+    "cross_validated_gain", "map_change_rms", "plausible",
+)  # fmt: skip
 
 
 def verdict_message(stamp: int, found: Diagnosis, content: Mapping[str, Any], words: str) -> DiagnosticArray:

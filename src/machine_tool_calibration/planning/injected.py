@@ -19,16 +19,9 @@ AMPLITUDE = 5e-6
 """Largest change of a reading that is put in, m."""
 
 PLANS = (
-    "tracking_2d",
-    "tracking_3d",
-    "rotary_axis",
-    "step_diagonal",
-    "probing_cross",
-    "probing_pins",
-    "grid_plate",
-    "iso230_2",
-    "ball_bar",
-)
+    "tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "probing_cross", "probing_pins",
+    "grid_plate", "iso230_2", "ball_bar",
+)  # fmt: skip
 """Simulated plans in which effects are shown, those of most interest first."""
 
 # Share of the change, by root mean square, that is clearly left, and below which the model has taken it up.

@@ -28,13 +28,10 @@ STANDARDS = ("iso230_2", "iso230_6", "iso230_7", "figures")
 _RUNS = 5
 # Figures of ISO 230-2:2014 in the order of its test report; up and down, then both.
 _FIGURES = (
-    ("reversal_B", ("", "", "B")),
-    ("mean_reversal", ("", "", "B_mean")),
-    ("repeatability", ("R_up", "R_down", "R")),
-    ("systematic", ("E_up", "E_down", "E")),
-    ("mean_range", ("", "", "M")),
-    ("accuracy", ("A_up", "A_down", "A")),
-)
+    ("reversal_B", ("", "", "B")), ("mean_reversal", ("", "", "B_mean")),
+    ("repeatability", ("R_up", "R_down", "R")), ("systematic", ("E_up", "E_down", "E")),
+    ("mean_range", ("", "", "M")), ("accuracy", ("A_up", "A_down", "A")),
+)  # fmt: skip
 _BOTH = ("figure", "up", "down", "both")
 _DIAGONAL = (("systematic_D", ("E_D_up", "E_D_down", "E_D")), ("reversal_D", ("", "", "B_D")))
 

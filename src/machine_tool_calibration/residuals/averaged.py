@@ -19,13 +19,8 @@ def places_differ(fit: Fit) -> Noise | None:
     """What repeats say of the noise where direct deviations of places differ by more than their repeats do.
 
     A hole that was drilled once and measured five times shows the machine once: so it is where places differ along at
-    least two axes. The readings of a single axis are the machine's own, run after run.
-
-    Args:
-        fit: of the model without further effects.
-
-    Returns:
-        None where they do not differ, or nothing says so.
+    least two axes. The readings of a single axis are the machine's own, run after run. None where they do not differ,
+    or nothing says so; the fit is of the model without further effects.
     """
     observations = fit.model.observations
     moved = (np.ptp(observations.position, axis=0) > SAME_POSITION).sum()

@@ -15,8 +15,7 @@ from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.catalogue import spec_of
 
-# Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
-FEWEST_REPEATS = 8
+# More places than this are not compared one by one.
 _MOST_PLACES = 1500
 # Readings that a model leaves of a session, below which it leaves none.
 _LEAST_LEFT = 1e-6
@@ -64,7 +63,7 @@ def noise_of(fit: Fit) -> Noise:
     declared = rms(fit.model.sigma)
     squares, left = _of_its_own(fit)
     p_value = float(special.chdtrc(left, squares)) if left > _LEAST_LEFT else 1.0
-    if free < FEWEST_REPEATS or len(count) > _MOST_PLACES:
+    if free < priors.ENOUGH_REPEATS or len(count) > _MOST_PLACES:
         return Noise(declared, None, free, p_value, None)
     spread = [family.columns() * declared for family in reproducibility(fit.model.observations)]
     # Of every place, of one reading too, so that what no model explains there does not pass for noise; where so few
@@ -78,7 +77,7 @@ def noise_of(fit: Fit) -> Noise:
         explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
         explained_all, rank_all = _explained(inner, right)
         dof = left - rank_all
-        if dof >= FEWEST_REPEATS and rank_all > rank_spread:
+        if dof >= priors.ENOUGH_REPEATS and rank_all > rank_spread:
             break
     else:  # the model may be of the places themselves: then nothing is left to compare
         return Noise(declared, None, free, p_value, None, _as_read(fit))

@@ -23,16 +23,9 @@ Enters = Literal[
 Varies = Literal["reading", "place", "angle", "run", "setup", "session", "never"]
 
 UNITS: dict[str, str] = {
-    "reading": "m",
-    "along": "m",
-    "across": "m",
-    "angle": "rad",
-    "length": "1",
-    "temperature": "K",
-    "air_temperature": "K",
-    "air_pressure": "Pa",
-    "air_humidity": "1",
-}
+    "reading": "m", "along": "m", "across": "m", "angle": "rad", "length": "1", "temperature": "K",
+    "air_temperature": "K", "air_pressure": "Pa", "air_humidity": "1",
+}  # fmt: skip
 """Unit of a contributor's value, by how it enters."""
 
 # Mean fourth power over the square of the variance.

@@ -45,17 +45,7 @@ Vector2 = tuple[Finite, Finite]
 
 
 Instrument = Literal[
-    "laser_interferometer",
-    "tracking_interferometer",
-    "laser_tracker",
-    "ball_bar",
-    "grid_encoder",
-    "linear_encoder",
-    "straightedge",
-    "indicator",
-    "autocollimator",
-    "cmm",
-    "touch_probe",
-    "micro_switch",
-]
+    "laser_interferometer", "tracking_interferometer", "laser_tracker", "ball_bar", "grid_encoder",
+    "linear_encoder", "straightedge", "indicator", "autocollimator", "cmm", "touch_probe", "micro_switch",
+]  # fmt: skip
 """What can read deviations directly."""

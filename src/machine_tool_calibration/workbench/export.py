@@ -19,15 +19,10 @@ from machine_tool_calibration.workbench.work import Work
 
 _LANGUAGES = {"en": "English", "de": "Deutsch"}
 _CONTROLLERS = {
-    "linuxcnc": "LinuxCNC",
-    "linuxcnc-trims": "LinuxCNC, trims (COMP_FILE_TYPE 1)",
-    "siemens": "SINUMERIK 840D",
-    "fanuc": "Fanuc",
-    "isg": "ISG / TwinCAT CNC",
-    "etalon": "Etalon Exchange",
-    "csv": "tables as CSV",
-    "json": "tables as JSON",
-}
+    "linuxcnc": "LinuxCNC", "linuxcnc-trims": "LinuxCNC, trims (COMP_FILE_TYPE 1)",
+    "siemens": "SINUMERIK 840D", "fanuc": "Fanuc", "isg": "ISG / TwinCAT CNC", "etalon": "Etalon Exchange",
+    "csv": "tables as CSV", "json": "tables as JSON",
+}  # fmt: skip
 
 
 class ExportPage:

@@ -32,12 +32,9 @@ _SLOW = 2.0  # s; a calculation that takes longer is told of
 _LONG = 1e-3  # m; displacements beyond are shown in millimetres
 # What is told of a node beside its message.
 _NODE_ENTRIES = {
-    "procedure": ("state", "setup", "repeat"),
-    "estimator": ("readings", "missing", "step"),
-    "recorder": ("messages", "lost", "bag"),
-    "player": ("position", "duration"),
-    "instrument": ("driver",),
-}
+    "procedure": ("state", "setup", "repeat"), "estimator": ("readings", "missing", "step"),
+    "recorder": ("messages", "lost", "bag"), "player": ("position", "duration"), "instrument": ("driver",),
+}  # fmt: skip
 _UNITS = {"position": " s", "duration": " s"}
 _LEVELS = (("●", "#0072b2", "in order"), ("▲", "#b36b00", "attention"), ("■", "#b00020", "error"))
 _SILENT = ("○", "#666666")

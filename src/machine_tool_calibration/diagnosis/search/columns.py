@@ -122,7 +122,7 @@ def _may_be(block: Block, gram: Gram) -> bool:
     """Whether an effect of a size that occurs would do what the readings show along its columns."""
     k, basis = len(block.shaped.columns), basis_of(gram.inner[block.own, block.own])
     along = basis.T @ gram.data[block.own]
-    scatter = np.sqrt(max((gram.squares - along @ along) / max(gram.dof - k, 1), 1.0))
+    scatter = np.sqrt(max(float(gram.squares - along @ along) / max(gram.dof - k, 1), 1.0))
     size, u = basis @ along, scatter * np.sqrt(np.sum(basis**2, axis=1))
     return bool(((size + _SURELY * u > block.low[:k]) & (size - _SURELY * u < block.high[:k])).all())
 

@@ -36,7 +36,7 @@ from machine_tool_calibration.model.model import (
     Term,
     weight_row,
 )
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, first_states
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
@@ -310,7 +310,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     none = np.zeros((0, n, 3))
     terms = model.terms[len(tables) :]
     effects = [np.zeros((len(t.parameters), n, 3)) if t.field is None else t.field * sensed for t in terms]
-    first = _states(observations.position, np.concatenate([none, *effects]))
+    first = first_states(observations.position, np.concatenate([none, *effects]))
     points = observations.position[first]
     # Many readings may be of few places.
     of_tables = map_field(tables, points) * sensed
@@ -391,9 +391,3 @@ def _common(tables: Array, setups: datum.SetupDatum, points: Array, direction: A
     common = np.concatenate(parts, axis=1)
     size = np.linalg.norm(common, axis=0)
     return np.asarray(common[:, size > 1e-9] / size[size > 1e-9])
-
-
-def _states(position: Array, field: Array) -> IntArray:
-    """The first reading of each position, once for every different state of the effects there."""
-    key = np.concatenate([np.round(position * 1e9), field.transpose(1, 0, 2).reshape(len(position), -1)], axis=1)
-    return np.sort(np.unique(key, axis=0, return_index=True)[1])
