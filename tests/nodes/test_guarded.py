@@ -5,11 +5,13 @@ import asyncio
 import gc
 import threading
 import time
+import uuid
 from types import SimpleNamespace
 
 import pytest
 import rclpy
 import yaml
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import SingleThreadedExecutor
@@ -31,7 +33,7 @@ from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import READINGS, Level, dated, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post
-from machine_tool_calibration.nodes.ros.services import Reply, goal_sentence
+from machine_tool_calibration.nodes.ros.services import Reply, _Goal, goal_sentence
 from machine_tool_calibration.procedure.events import CaptureFailed
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
@@ -295,6 +297,29 @@ def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
         "missing": "4",
         "resets": "1",
     }
+
+
+def test_readings_of_the_next_session_are_held_against_its_description(made):
+    node = made(Estimator)
+    for first in (0, 1000):  # s at which each begins
+        hear(node, "session", String(data=yaml.safe_dump({"format": "mtcal-session/1", **PROCEDURE["session"]})))
+        node._found = ("backlash_x",)
+        for index in range(3):
+            hear(node, "reading", reading(first + index, time=index))
+        hear(node, "reading", reading(first + 3, time=3, setup_index=9.0))  # of four setups
+        assert values_of(shown(node))["readings"] == "3"
+    assert node.ignored == {"reading": 2} and not node._found  # of other readings
+    hear(node, "reading", reading(2000, time=0))  # a session that nothing describes
+    hear(node, "reading", reading(2001, time=1, setup_index=9.0))
+    assert values_of(shown(node))["readings"] == "2"
+
+
+def test_a_calculation_whose_outcome_cannot_be_published_has_ended_all_the_same(made):
+    node = made(Estimator)
+    goal = node.goals._present = _Goal("identify", uuid.uuid4(), 0, "identifying", 0.0)
+    node.goals._end(goal, object(), lambda outcome: 1 / 0)
+    assert goal.status == GoalStatus.STATUS_ABORTED and not node.goals.doing
+    assert node.goals.last == "unexpected ZeroDivisionError: division by zero"
 
 
 def test_a_stray_reading_does_not_cost_those_that_are_there(made):

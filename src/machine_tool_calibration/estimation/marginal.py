@@ -83,7 +83,7 @@ class Gram:
             return np.asarray(-0.5 * left)
         return np.asarray(-0.5 * (self.dof + self.prior_dof) * np.log(self.prior_dof + left))
 
-    def noise(self, left: Array) -> Array:
+    def variance(self, left: Array) -> Array:
         """Variance of the noise by the squares that are left, over that declared, or over the known one."""
         if np.isinf(self.prior_dof):
             return np.ones_like(left)

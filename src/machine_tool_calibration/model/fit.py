@@ -165,7 +165,7 @@ class Fit:
 
     @cached_property
     def residuals(self) -> Array:
-        """(n,) measured minus predicted, m."""
+        """(n,) measured minus predicted, m, by least squares; what is published beside may differ (`MarginalFit`)."""
         return self.joint.normalised(self.index) * self.model.sigma
 
     @property

@@ -271,7 +271,7 @@ def _evidence(blocks: Batch, tried: Marginal) -> tuple[Array, Array]:
     if np.isinf(low).all() and np.isinf(high).all():
         return uncut, uncut
     mean = (gain * along[:, :, None]) @ turned
-    deviation = np.sqrt(np.maximum(gain @ turned**2 * gram.noise(left)[..., None], 1e-300))
+    deviation = np.sqrt(np.maximum(gain @ turned**2 * gram.variance(left)[..., None], 1e-300))
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
     dof = gram.dof + gram.prior_dof
