@@ -201,8 +201,11 @@ def result_parts(
     namesakes = added & {*ERROR_MOTIONS, *SQUARENESS}
     missing = document["not_determined"]
     names = ((e["name"] if e["name"] not in namesakes else say("result.effect", name=e["name"])) for e in missing)
-    for why, lost in group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True)):
+    reasons = group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True))
+    for why, lost in reasons[:_MOST_NAMES]:
         yield say("result.not_determined", names=lost, why=why)
+    if (more := len(reasons) - _MOST_NAMES) > 0:
+        yield say("result.not_determined_more", n=more)
     yield say("result.datum", datum=datum_words(document))
 
 
