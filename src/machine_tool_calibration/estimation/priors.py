@@ -48,7 +48,7 @@ more, as fewer do not tell it from functions of their own."""
 
 SEVERAL_RUNS = 4
 """Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:
-the slopes and bows of fewer are the machine's own, unless over several axes they read enough places again."""
+the slopes and bows of fewer are the machine's own, unless they read enough places again."""
 
 ENOUGH_REPEATS = 8
 """Degrees of freedom of repeats from which these alone say what does not reproduce, so that a lack of fit cannot."""
