@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,10 +109,18 @@ _FIRST = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What was named is run whole, the long tests too; processes learn it by the option."""
+    """What was named is run whole, the long tests too; processes are told."""
     everything = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    if not hasattr(config, "workerinput") and (not everything or config.option.keyword or config.option.markexpr):
+    if hasattr(config, "workerinput"):
+        config.option.long = config.workerinput["long"]
+    elif not everything or config.option.keyword or config.option.markexpr:
         config.option.long = True
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_configure_node(node: Any) -> None:
+    """Processes do as they are told here."""
+    node.workerinput["long"] = node.config.option.long
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -29,7 +29,6 @@ class Memory:
     """What residuals say of the noise's memory."""
 
     log_evidence: Array  # (r,) logarithm of the likelihood of `priors.CORRELATIONS`, but for what all residuals share
-    length: float = np.inf  # readings of a series, in which alone neighbours are correlated: the mean
 
     @property
     def probability(self) -> Array:
@@ -38,8 +37,8 @@ class Memory:
 
     @property
     def readings_per_independent(self) -> float:
-        """Readings that tell as much of what is slow as one independent reading: its mean, a series' length at most."""
-        return min(float(self.probability @ per_independent(_RHO)), self.length)
+        """Readings that tell as much of what is slow as one independent reading: its mean."""
+        return float(self.probability @ per_independent(_RHO))
 
     def log_evidence_of(self, k: float) -> float:
         """Logarithm of the likelihood of a memory by which k readings tell as much as an independent one."""
@@ -62,14 +61,15 @@ def memory_of(residuals: Array, before: IntArray, after: IntArray, dof: float) -
         after: (k,) readings that are not the first of their setup.
         dof: degrees of freedom of the residuals.
     """
+    if not len(after):  # readings without neighbours say nothing of it, and it does nothing to them
+        return Memory(np.where(_RHO > 0.0, -1e3, 0.0))
     share = dof / max(len(residuals), 1)
     first = np.delete(residuals, after)
     own, last = residuals[after], residuals[before]
     rounding = _ROUNDING**2 * len(own)
     steps = own @ own + rounding - 2.0 * _RHO * (own @ last) + _RHO**2 * (last @ last + rounding)
     squares = first @ first + _ROUNDING**2 * len(first) + steps / (1.0 - _RHO**2)
-    log_evidence = -0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * dof * np.log(squares)
-    return Memory(log_evidence, len(residuals) / max(len(first), 1))
+    return Memory(-0.5 * share * len(after) * np.log1p(-(_RHO**2)) - 0.5 * dof * np.log(squares))
 
 
 def beyond_independent(memory: Memory, columns: Array, before: IntArray, after: IntArray) -> Array:

@@ -238,15 +238,15 @@ def _average_over_sizes(
     again = (0.0, 0.0)
     if repeated is not None and pure is not None:
         again = repeated.whole(left_at(pure, found.ratios[chosen[0]])[1], pure.dof)
-    scatter = _scatter(squares_left, dof, again)
+    plain, scatter = _scatter(squares_left, dof), _scatter(squares_left, dof, again)
     # Where nothing was read again and what is left is mostly something else, neither do runs.
     unmoved = imperfect.copy()
     if solution.chi_square - squares_left < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = True if repeated is None else unrepeated[own]
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
-    # In units of the noise, which is less than the scatter where places differ, or less was read than declared.
-    tau[:, runs] = ratios[:, own] * found.noise / scatter
+    # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too.
+    tau[:, runs] = ratios[:, own] * plain * min(found.noise, 1.0) / scatter
     if imperfect.any():  # in those of the scatter, which it is a part of: in the noise's U would be a third too small
         tau[:, imperfect] = misfit(
             projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof

@@ -214,7 +214,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     run = in_order_of_appearance(run if moved else observations.run)
     ways = in_order_of_appearance(_passes(observations, moved[0])) if moved else run
     for name, group in (("run", run), ("pass", ways)):
-        if _tell(observations.place, group) and (name == "run" or (group != run).any()):
+        if group.max(initial=0) > 1 and _tell(observations.place, group) and (name == "run" or (group != run).any()):
             yield _family(observations, name, group)
 
 
