@@ -149,9 +149,11 @@ def test_a_history_that_cannot_be_written_costs_no_pictures(copied: Path, tmp_pa
     assert not (copied / "history.yaml").exists()
 
 
-def test_pictures_that_cannot_be_written_cost_no_history(copied: Path, tmp_path: Path, verb: Verb) -> None:
-    (tmp_path / "out" / "improve.png").mkdir(parents=True)
-    shown = verb(*improve(copied, tmp_path / "out"), status=1)
+@pytest.mark.parametrize("out", ["picture is a folder", "file/out"])
+def test_pictures_that_cannot_be_written_cost_no_history(copied: Path, tmp_path: Path, verb: Verb, out: str) -> None:
+    (tmp_path / "picture is a folder" / "improve.png").mkdir(parents=True)
+    (tmp_path / "file").touch()
+    shown = verb(*improve(copied, tmp_path / out), status=1)
     assert shown.out.startswith("Added backlash_y")
     assert "cannot be written" in shown.err
     assert "-o names another folder" in shown.err

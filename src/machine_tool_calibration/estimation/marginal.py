@@ -150,7 +150,7 @@ class Marginal:
         return np.asarray(self.log_prior + self.gram.log_likelihood(self.squares))
 
     def log_null_with(self, columns: IntArray, scale: Array) -> float:
-        """What `log_null` is with columns of given scales is, at one choice of sizes, without folding them in."""
+        """What `log_null` is with columns of given scales, at one choice of sizes, without folding them in."""
         lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
         explained = _below(lower, scale * self.data[columns])
         left = np.maximum(self.squares - explained @ explained, NOTHING * self.gram.squares)
@@ -284,13 +284,7 @@ def _with(place: tuple[int, ...], axis: int, at: int) -> tuple[int, ...]:
 
 
 def marginal_at(gram: Gram, ratio: ArrayLike, log_prior: ArrayLike = 0.0) -> Marginal:
-    """That of one size of each family, in units of the noise, with the logarithm of its prior.
-
-    Args:
-        gram: inner products where all reproduces.
-        ratio: ([s,] families).
-        log_prior: ([s]).
-    """
+    """That of one size of each family, ([s,] families) in units of the noise, with the logarithm of its prior ([s])."""
     ratio, several = np.asarray(ratio, dtype=np.float64), np.shape(ratio)[:-1]
     nothing = np.zeros((*several, 0, len(gram.inner)))
     log_prior = np.broadcast_to(np.asarray(log_prior, dtype=np.float64), several)

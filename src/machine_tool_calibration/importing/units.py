@@ -13,15 +13,16 @@ from machine_tool_calibration.errors import SessionError
 # Unit to its dimension, power of ten and factor. The power goes into the text: 123.4 mm is 0.1234 m to the last bit,
 # which neither 123.4 * 0.001 nor 123.4 / 1000 is.
 UNITS: dict[str, tuple[str, int, float]] = {
-    "m": ("length", 0, 1.0), "mm": ("length", -3, 1.0), "um": ("length", -6, 1.0),
-    "nm": ("length", -9, 1.0), "cm": ("length", -2, 1.0), "in": ("length", 0, 0.0254),
-    "mil": ("length", -3, 0.0254), "uin": ("length", -6, 0.0254), "rad": ("angle", 0, 1.0),
-    "mrad": ("angle", -3, 1.0), "urad": ("angle", -6, 1.0), "deg": ("angle", 0, math.pi / 180),
-    "arcsec": ("angle", 0, math.pi / 648e3), "gon": ("angle", 0, math.pi / 200), "s": ("time", 0, 1.0),
-    "ms": ("time", -3, 1.0), "min": ("time", 0, 60.0), "h": ("time", 0, 3600.0), "d": ("time", 0, 86400.0),
-    "degC": ("temperature", 0, 1.0), "Pa": ("pressure", 0, 1.0), "hPa": ("pressure", 2, 1.0),
-    "mbar": ("pressure", 2, 1.0), "kPa": ("pressure", 3, 1.0), "%": ("number", -2, 1.0),
-    "1": ("number", 0, 1.0),
+    "m": ("length", 0, 1.0), "mm": ("length", -3, 1.0), "um": ("length", -6, 1.0), "nm": ("length", -9, 1.0),
+    "cm": ("length", -2, 1.0),
+    "in": ("length", 0, 0.0254), "mil": ("length", -3, 0.0254), "uin": ("length", -6, 0.0254),
+    "rad": ("angle", 0, 1.0), "mrad": ("angle", -3, 1.0), "urad": ("angle", -6, 1.0),
+    "deg": ("angle", 0, math.pi / 180), "arcsec": ("angle", 0, math.pi / 648e3), "gon": ("angle", 0, math.pi / 200),
+    "s": ("time", 0, 1.0), "ms": ("time", -3, 1.0),
+    "min": ("time", 0, 60.0), "h": ("time", 0, 3600.0), "d": ("time", 0, 86400.0),
+    "degC": ("temperature", 0, 1.0),
+    "Pa": ("pressure", 0, 1.0), "hPa": ("pressure", 2, 1.0), "mbar": ("pressure", 2, 1.0), "kPa": ("pressure", 3, 1.0),
+    "%": ("number", -2, 1.0), "1": ("number", 0, 1.0),
 }  # fmt: skip
 _SPELLINGS = {
     "µm": "um", "μm": "um", "micron": "um", "µrad": "urad", "μrad": "urad", "inch": "in", "thou": "mil",

@@ -13,6 +13,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.files import save
 from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots import residuals
 from machine_tool_calibration.plots.style import name_axes, new_figure
@@ -49,9 +50,7 @@ def draw_gallery(
         if injected is not None:
             files.append(folder / f"{effect.id}.png")
             _save(_draw_injected(injected), files[-1])
-    page = folder / "README.md"
-    page.write_text(gallery_page(effects, found), encoding="utf-8")
-    return [*files, page]
+    return [*files, save(folder / "README.md", gallery_page(effects, found))]
 
 
 def _draw_injected(injected: Injected) -> Figure:

@@ -43,7 +43,6 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None = None) -> list[Path]:
     """Write pictures as PNG files of their names into a folder, which is made where it is missing."""
-    folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.png" for name in figures]
     for figure, file in zip(figures.values(), files, strict=True):
         save_as(figure, file, origin)

@@ -15,6 +15,7 @@ import yaml
 
 from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.files import whole, writing
 from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.session.record import validated
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_yaml
@@ -94,14 +95,11 @@ def update_history(path: Path, change: Callable[[History], History]) -> tuple[Hi
     Whatever happens, the file holds the whole old history or the whole new one; two commands at once wait for each
     other. A SessionError if it is damaged, or cannot be written.
     """
-    try:
-        with _alone(path.parent):
-            old = read_history(path)
-            new = change(old)
-            if new != old:
-                _write(path, new)
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written: {error.strerror}") from None
+    with writing(path, SessionError), _alone(path.parent):
+        old = read_history(path)
+        new = change(old)
+        if new != old:
+            _write(path, new)
     return old, new
 
 
@@ -133,12 +131,10 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, list("-+.01234
 def _write(path: Path, history: History) -> None:
     content = history.model_dump(mode="json")
     text = _HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
-    part = path.with_name(f"{path.name}.part")
-    with part.open("w", encoding="utf-8") as file:
+    with whole(path, SessionError) as part, part.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
-    os.replace(part, path)
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

@@ -27,12 +27,17 @@ MOST_NAMED = 3
 """Coefficients of an effect, or setups, of which each is named in a sentence; of more, one or their range."""
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.
 _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
-    "1": ((1e-3, 1.0, ""), (0.0, 1e6, "µm/m")), "m": ((1.0, 1.0, "m"), (1e-3, 1e3, "mm"), (0.0, 1e6, "µm")),
-    "m^2": ((1e-8, 1e6, "mm²"), (0.0, 1e12, "µm²")), "rad": ((0.1, 1.0, "rad"), (0.0, 1e6, "µrad")),
+    "1": ((1e-3, 1.0, ""), (0.0, 1e6, "µm/m")),
+    "m": ((1.0, 1.0, "m"), (1e-3, 1e3, "mm"), (0.0, 1e6, "µm")),
+    "m^2": ((1e-8, 1e6, "mm²"), (0.0, 1e12, "µm²")),
+    "rad": ((0.1, 1.0, "rad"), (0.0, 1e6, "µrad")),
     "s": ((7200.0, 1 / 3600.0, "h"), (120.0, 1 / 60.0, "min"), (0.01, 1.0, "s"), (0.0, 1e3, "ms")),
-    "1/K": ((0.0, 1e6, "µm/(m K)"),), "m/K": ((0.0, 1e6, "µm/K"),), "rad/K": ((0.0, 1e6, "µrad/K"),),
-    "m/s": ((0.0, 3.6e9, "µm/h"),), "rad/s": ((0.0, 3.6e9, "µrad/h"),),
-}  # fmt: skip
+    "1/K": ((0.0, 1e6, "µm/(m K)"),),
+    "m/K": ((0.0, 1e6, "µm/K"),),
+    "rad/K": ((0.0, 1e6, "µrad/K"),),
+    "m/s": ((0.0, 3.6e9, "µm/h"),),
+    "rad/s": ((0.0, 3.6e9, "µrad/h"),),
+}
 
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:

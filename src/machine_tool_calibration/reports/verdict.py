@@ -180,11 +180,12 @@ def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "scatter", "both"
     noise = diagnosis.noise
     if noise.as_read is None and noise.from_repeats is None:
         return "repeats"
-    whole = noise.declared * float(np.sqrt(diagnosis.fits[-1].reduced_chi_square))
-    share = max(noise.as_read or 0.0, noise.from_repeats or 0.0) / whole
-    if diagnosis.noisy or share > priors.AS_NOISY:
-        return "scatter"
-    return "both" if share > _PARTLY else "places"
+    chi_square = diagnosis.fits[-1].reduced_chi_square
+
+    def by_repeats(share: float) -> bool:
+        return any(noise.is_all(repeats, chi_square, share) for repeats in (noise.as_read, noise.from_repeats))
+
+    return "scatter" if by_repeats(priors.AS_NOISY) else "both" if by_repeats(_PARTLY) else "places"
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:

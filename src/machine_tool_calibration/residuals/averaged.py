@@ -31,22 +31,27 @@ def places_differ(fit: Fit) -> Noise | None:
 
 
 def own_of_places(fit: Fit) -> tuple[Family, ...]:
-    """What each place has for itself, as a random constant, where places differ and their means are not looked at."""
+    """What each place has for itself, as a random constant, where few places differ."""
     place = fit.model.observations.place
-    return (Family("place", place, np.ones((1, len(place)))),) if places_differ(fit) else ()
+    return (Family("place", place, np.ones((1, len(place)))),) if _are_few(fit) and places_differ(fit) else ()
+
+
+def _are_few(fit: Fit) -> bool:
+    """Whether so few places are left beside the model's unknowns that a further effect would explain any means."""
+    unknowns = len(fit.model.observations) - fit.solution.degrees_of_freedom
+    return int(fit.model.observations.place.max()) + 1 - unknowns < priors.ENOUGH_PLACES
 
 
 def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     """The session with the mean of the readings of each place, where these differ, and what repeats say of the noise.
 
-    None where so few places are left beside the model's unknowns that a further effect would explain any means.
+    None where they do not, or are few.
     """
     observations = fit.model.observations
     session, readings, place = observations.session, observations.readings, observations.place
     count = np.bincount(place)
-    unknowns = len(readings) - fit.solution.degrees_of_freedom
-    noise = places_differ(fit)
-    if noise is None or len(count) - unknowns < priors.ENOUGH_PLACES:
+    noise = None if _are_few(fit) else places_differ(fit)
+    if noise is None:
         return None
     first = np.unique(place, return_index=True)[1]
 

@@ -43,10 +43,10 @@ class Noise:
     # repeats, and where each run counts from a zero of its own
     as_read: float | None = None
 
-    def is_all(self, repeats: float | None, reduced_chi_square: float) -> bool:
-        """Whether repeats, m, scatter as much as everything that a model with this reduced chi-square leaves."""
+    def is_all(self, repeats: float | None, reduced_chi_square: float, share: float = priors.AS_NOISY) -> bool:
+        """Whether repeats, m, scatter as much as this share of what a model with this reduced chi-square leaves."""
         scatter = np.sqrt(reduced_chi_square) * self.declared
-        return repeats is not None and bool(repeats > priors.AS_NOISY * scatter)
+        return repeats is not None and bool(repeats > share * scatter)
 
 
 def noise_of(fit: Fit) -> Noise:
