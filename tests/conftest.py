@@ -77,6 +77,7 @@ _FIRST = (
     "nodes/test_mishaps.py",
     "diagnosis/test_diagnose.py",
     "report/test_report.py",
+    "reports/test_document.py",
     "nodes/test_processes.py",
     "packaging/test_documents.py",
     "nodes/test_commands.py",
@@ -106,6 +107,8 @@ _FIRST = (
     "diagnosis/test_compare.py",
     "cli/test_compare.py",
 )
+# Rooms whose modules look at the same diagnoses or evaluations.
+_SHARING = ("certificate", "report", "reports")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -121,6 +124,20 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_configure_node(node: Any) -> None:
     """Processes do as they are told here."""
     node.workerinput["long"] = node.config.option.long
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """A module's tests run in one process, and so do those of rooms that look at the same: it is calculated once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByWhatIsShared(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = nodeid.partition("::")[0]
+            room = module.rpartition("/")[0].removeprefix("tests/")
+            return room if room in _SHARING else module
+
+    return ByWhatIsShared(config, log) if config.getoption("dist") == "loadscope" else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

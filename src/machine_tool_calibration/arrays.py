@@ -10,8 +10,6 @@ Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-COVERAGE = 0.9545
-"""Coverage probability of an expanded uncertainty: that of k = 2 where a quantity is normal."""
 HALF_WIDTHS: dict[str, float] = {"rectangular": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
 """Half width over standard deviation of the distributions that have ends."""
 

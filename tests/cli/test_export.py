@@ -198,6 +198,7 @@ def test_runs_whose_directions_agree_are_no_bad_fit() -> None:
     assert bad_fit(fit, {"scatter": agreeing, "position_error_u": [[1e-6, None, None]]}) is None
 
 
+@pytest.mark.long
 def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, verb: Verb) -> None:
     words = [str(improved), "--format", "isg", "-o"]
     bad, better = warned([*words, str(tmp_path / "a")], verb)

@@ -124,6 +124,7 @@ def test_output_that_cannot_be_written(verb, tmp_path):
     assert "cannot be written" in verb.refused("identify", DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
 
 
+@pytest.mark.long
 def test_the_model_of_the_history(verb, backlash, tmp_path):
     session = tmp_path / "session"
     shutil.copytree(backlash, session)
@@ -161,6 +162,7 @@ def test_people_read_the_verdict_first(original: Path, verb: Verb) -> None:
     assert "\x1b" not in out
 
 
+@pytest.mark.long
 def test_pictures_and_numbers_on_request(original: Path, tmp_path: Path, verb: Verb) -> None:
     folder = tmp_path / "new" / "pictures"
     assert "wrote" in verb("diagnose", original, "-o", folder).err

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import Comparison, _scatter, compare
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.reports.comparison import comparison_document, in_words
 from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.residuals.covariates import bins, covariates
@@ -231,5 +231,6 @@ def test_readings_that_stand_out_are_counted_over_several_sessions() -> None:
 
 @pytest.mark.parametrize(("reduced", "scatter"), [(0.25, 1.0), (4.0, 2.0)])
 def test_readings_that_scatter_less_than_declared_make_nothing_surer(reduced: float, scatter: float) -> None:
-    fit: Any = SimpleNamespace(joint=SimpleNamespace(reduced_chi_square=reduced))
-    assert _scatter(fit) == scatter
+    nothing: Any = None
+    solution: Any = SimpleNamespace(chi_square=8.0 * reduced, degrees_of_freedom=8)
+    assert JointFit(nothing, solution).birge_ratio == scatter

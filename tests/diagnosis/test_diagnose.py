@@ -104,6 +104,7 @@ def test_what_identify_refuses_is_not_called_adequate() -> None:
         diagnose(stretched)
 
 
+@pytest.mark.long
 def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
     spreads = (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA))
     seeds = range(500, 500 + many.part(1 / 5).count)
@@ -111,6 +112,7 @@ def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: A
     assert sum(alarms) <= many.part(2 / 5).at_most(0.05)
 
 
+@pytest.mark.long(but=("tracking_3d-thermal_expansion_x-6e-06",))
 @pytest.mark.parametrize(
     ("plan", "effect", "amplitude"),
     [

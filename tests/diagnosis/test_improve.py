@@ -178,6 +178,7 @@ def test_steps_become_entries_of_a_history() -> None:
     assert entry(bare).map_rms is None
 
 
+@pytest.mark.long
 def test_progress_rises_to_one() -> None:
     _, shares = improved(101)
     assert shares == sorted(shares)

@@ -55,6 +55,7 @@ def found(session: Session) -> dict[str, tuple[float, float]]:
     return {e.name: (e.value, e.standard_uncertainty) for e in result.parameters}
 
 
+@pytest.mark.long(but=("0.25",))
 @pytest.mark.parametrize("fixed", [0.0, FIXED, -0.4])
 def test_coefficient_and_fixed_point_are_recovered(fixed: float) -> None:
     """Fixed at the axis's zero is the special case q = 0."""

@@ -169,6 +169,7 @@ def dying(number: int, folder: Path, *, always: bool) -> int:
     return number * number
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_nothing(scheduler: str, tmp_path: Path) -> None:
     work = partial(dying, folder=tmp_path, always=False)
     found = {one.item: one.found for one in each(work, range(20), scheduler=scheduler)}

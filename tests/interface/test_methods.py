@@ -134,7 +134,7 @@ def test_compare_says_what_the_command_says(folder: Path, fit: mtcal.Fit, verb: 
     assert len(comparison.trends) == len(document["trends"])
 
 
-@pytest.mark.long(but=("direct", "rotary_axis", "step_diagonal"))
+@pytest.mark.long(but=("direct",))
 def test_the_loop(folder: Path, fit: mtcal.Fit) -> None:
     if folder.name == "tracking_interferometer":  # whose diagnosis is in docs/python.md
         assert fit.add("backlash_y").parameters.loc["backlash_y.b", "determined"]

@@ -234,6 +234,7 @@ def test_a_file_and_the_instrument(part: mtcal.Fit, tmp_path: Path) -> None:
     assert "one touch" in part.budget().contributors.index
 
 
+@pytest.mark.long
 def test_conformity(part: mtcal.Fit) -> None:
     found = part.conformity({"ECC": "10 mrad", "C0Y": 1.0, "EXC": 1e-9})
     assert list(found.verdicts.columns) == ["tolerance", "value", "u", "unit", "probability", "decision", "why"]

@@ -93,6 +93,7 @@ def uncertainties(content: Mapping[str, Any]) -> Iterator[tuple[str, Array]]:
             yield key, np.asarray(value, dtype=float)
 
 
+@pytest.mark.long(but=("tracking_2d",))
 @pytest.mark.parametrize("plan", PLANS)
 def test_uncertainties_declared_three_times_too_small_come_out_as_they_are(plan: str) -> None:
     usual = PRESETS[plan].noise

@@ -258,6 +258,7 @@ def test_scatter_grows_without_a_jump() -> None:
     assert scatter[-1] == pytest.approx(np.sqrt(10.0), rel=0.1)
 
 
+@pytest.mark.long(but=("tracking_2d", "probing_cross"))
 @pytest.mark.parametrize("plan", PLANS)
 def test_a_declared_uncertainty_three_times_too_small_is_corrected(plan: str) -> None:
     """In every method, to what chance allows; and one too large makes nothing better."""

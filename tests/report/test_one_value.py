@@ -114,7 +114,7 @@ def without_origin(document: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in json.loads(json.dumps(document)).items() if key != "provenance"}
 
 
-@pytest.mark.long(but=("ball_bar", "tracking_2d"))
+@pytest.mark.long(but=("ball_bar",))
 @pytest.mark.parametrize("kind", [*KINDS, *WITH_BUDGET])
 def test_a_result_is_the_same_wherever_it_is_told(kind: str, verb: Verb, tmp_path: Path) -> None:
     session, folder = session_of(kind), tmp_path / "session"

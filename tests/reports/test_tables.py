@@ -119,6 +119,7 @@ def test_columns_without_any_number_are_left_out_and_named() -> None:
     assert note.startswith(NOT_DETERMINED)
 
 
+@pytest.mark.long(but=("tracking_2d",))
 @pytest.mark.parametrize("plan", PLANS)
 def test_no_exponents_no_minus_zero_and_no_rows_of_dashes(plan: str) -> None:
     for each in comparison_tables(comparison(plan)):

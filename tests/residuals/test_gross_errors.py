@@ -39,6 +39,7 @@ def with_gross_errors(session: Session, share: float, seed: int) -> tuple[Sessio
     return session.with_readings(changed), {int(row) for row in readings.row[hit]}
 
 
+@pytest.mark.long(but=("rotary_axis", "tracking_2d", "probing_cross"))
 @pytest.mark.parametrize("name", PLANS)
 def test_gross_errors_of_five_percent_are_found(name: str) -> None:
     session = simulate(SimulationSpec(plan=PLANS[name], seed=11)).session
@@ -69,6 +70,7 @@ def test_what_a_doubtful_reading_decided_is_decided_anew() -> None:
     assert all(o.ambiguous for o in found if o.row not in rows)
 
 
+@pytest.mark.long(but=("rotary_axis", "tracking_2d", "probing_cross"))
 @pytest.mark.parametrize("name", PLANS)
 def test_sound_readings_are_kept(name: str) -> None:
     """Also where setups do not reproduce: a slope and a bow of two standard uncertainties in each."""

@@ -285,8 +285,9 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
 
 
 def case(preset: str, name: str) -> Any:
-    """Targets far off are looked for from many starts."""
-    return pytest.param(preset, name, marks=[pytest.mark.long] if "metres" in name else [])
+    """Those of a rotary axis that are looked for from many starts take seconds."""
+    slow = preset.startswith("rotary_axis") and any(word in name for word in ("metres", "two rows late", "twice"))
+    return pytest.param(preset, name, marks=[pytest.mark.long] if slow else [])
 
 
 @pytest.mark.parametrize(
@@ -344,6 +345,7 @@ def _sound(preset: str, count: int) -> Iterator[Session]:
             yield simulate(spec.model_copy(update={"effects": ()})).session
 
 
+@pytest.mark.long(but=("tracking_2d", "rotary_axis", "probing_cross"))
 @pytest.mark.parametrize("preset", [name for name in DAMAGED if name not in ("straightness", "drilled_plate")])
 def test_nothing_is_suspected_of_sound_sessions(preset: str, many: Any) -> None:
     for session in _sound(preset, many.part(0.4).count):

@@ -15,6 +15,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR, Quantity
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.diagnose import diagnose as look_for_effects
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
@@ -112,7 +113,7 @@ def completed(result: Either, budget: Budget) -> Either:
 
 def _added(budget: Budget) -> dict[str, Array]:
     """What instrument and temperature add to the square of what the readings show, by the quantity."""
-    square = np.maximum((budget.expanded / 2.0) ** 2 - budget.numbers.u**2, 0.0)
+    square = np.maximum((budget.expanded / K) ** 2 - budget.numbers.u**2, 0.0)
     return {name: square[q.members] for name, q in budget.numbers.by_name.items()}
 
 
@@ -156,11 +157,11 @@ def _run(run: Mapping[str, Any], more: Mapping[str, Array], figures: Mapping[str
         names = (f"{name}_{run['axis']}.{run['setup']}", f"{name}_{run['axis']}")
         square = next((more[name] for name in names if name in more), None)
         if square is not None and run.get(f"{figure}_U") is not None:
-            out[f"{figure}_U"] = float(2.0 * _grown(run[f"{figure}_U"] / 2.0, square[0]))
+            out[f"{figure}_U"] = float(K * _grown(run[f"{figure}_U"] / K, square[0]))
     return out
 
 
 def _range(one: Mapping[str, Any], more: Mapping[str, Array]) -> dict[str, Any]:
     """An error motion value by ISO 230-7."""
     square = more.get(f"{one['motion']}_range")
-    return dict(one) if square is None else {**one, "U": float(2.0 * _grown(one["U"] / 2.0, square[0]))}
+    return dict(one) if square is None else {**one, "U": float(K * _grown(one["U"] / K, square[0]))}

@@ -27,6 +27,7 @@ from machine_tool_calibration.budget.published import (
     numbers,
     unit_of,
 )
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.build import suspicious_fits
@@ -254,7 +255,7 @@ class _Conformity:
         if figure.kind is None:
             value, dof = float(values[0]), self.dof[members[0]]
             probability = _single(value, float(spread[0]), float(dof), tolerance, signed=figure.signed)
-            u = float(coverage_factor(dof) * spread[0]) / 2.0
+            u = float(coverage_factor(dof) * spread[0]) / K
         else:
             value = float(figure.kind.work_out(values[None])[0])
             as_measured = self.draws(figure, values, spread)

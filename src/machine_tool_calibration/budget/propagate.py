@@ -19,9 +19,10 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import COVERAGE, Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.budget.patterns import Pattern, pattern
 from machine_tool_calibration.budget.published import Numbers, Quantity, everything, figure_of, iso_numbers, numbers
+from machine_tool_calibration.coverage import COVERAGE
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS
 from machine_tool_calibration.methods.fitted import FittedSessions
@@ -153,7 +154,7 @@ def _of_fit(fitted: FittedSessions, joint: JointFit) -> Iterator[_Entry]:
     yield _position_error(error_map)
     yield from _content(error_map.content)
     for one in error_map.content.get("iso230_7", ()):
-        value, u = np.array([one["value"]]), np.array([one["U"] / 2.0])
+        value, u = np.array([one["value"]]), np.array([one["U"] / K])
         yield _Entry(f"{one['motion']}_range", one["unit"], value, u, _nowhere)
     yield from _unknowns(joint, error_map)
 
@@ -179,7 +180,7 @@ def _of_runs(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> I
         for run in runs:
             suffix = run["axis"] if axes.count(run["axis"]) == 1 else f"{run['axis']}.{run['setup']}"
             for name, figure in figures.items():
-                value, u = np.array([run[figure]]), np.array([run.get(f"{figure}_U", np.nan) / 2.0])
+                value, u = np.array([run[figure]]), np.array([run.get(f"{figure}_U", np.nan) / K])
                 yield _Entry(f"{name}_{suffix}", "m", value, u, _nowhere)
 
 

@@ -96,7 +96,7 @@ def error_against_truth(measured: Measured, result: Result) -> MapError:
     if spec.turns_one_axis:
         return map_error(points, found, *_carried(site, result))
     actual = site.functional_point(site.scene(0.0, points))
-    flat = spec.probes_surface or getattr(measured.session.description, "dimension", 3) == 2
+    flat = spec.probes_surface or measured.session.description.axes == "xy"
     axes = slice(0, 2 if flat else 3)
     return map_error(points[:, axes], found[:, axes], (actual - points)[:, axes])
 

@@ -11,6 +11,7 @@ from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.nodes.measurement import NODES, Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
@@ -26,7 +27,7 @@ def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
     assumed = Assumed(model, errors=shared_errors)
     with progress_bar() as progress:
         text = quickest_plan(
-            read_text(file), str(file), assumed, u=None if until.u is None else until.u / 2.0, told=until.told,
+            read_text(file), str(file), assumed, u=None if until.u is None else until.u / K, told=until.told,
             progress=progress,
         )  # fmt: skip
     chosen = Path(folder, file.name)

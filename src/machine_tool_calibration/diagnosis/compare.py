@@ -320,7 +320,7 @@ def _parts(fit: Fit, each: pd.DataFrame, along: Mapping[str, Array]) -> pd.DataF
     sums = residual_sums(fit, weights)
     for k, name in enumerate(("mean", "slope")[: len(weights) // len(parts)]):
         own = slice(k * len(parts), (k + 1) * len(parts))
-        parts[name], parts[f"{name}_u"] = sums.value[own], _scatter(fit) * sums.uncertainty[own]
+        parts[name], parts[f"{name}_u"] = sums.value[own], fit.joint.birge_ratio * sums.uncertainty[own]
     return parts.reindex(columns=["by", "low", "high", *_PART])
 
 
@@ -356,8 +356,8 @@ def _approaches(fit: Fit) -> pd.DataFrame:
             weights += [np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0)), along]
     out = pd.DataFrame(found, columns=["axis", "forward", "backward", "seen"])
     sums, seen = residual_sums(fit, np.reshape(weights, (-1, len(readings)))), out.pop("seen").astype(bool)
-    out["difference"], out["difference_u"] = sums.value[::2], _scatter(fit) * sums.uncertainty[::2]
-    for name, values in (("", sums.added), ("_u", _scatter(fit) * sums.added_uncertainty)):
+    out["difference"], out["difference_u"] = sums.value[::2], fit.joint.birge_ratio * sums.uncertainty[::2]
+    for name, values in (("", sums.added), ("_u", fit.joint.birge_ratio * sums.added_uncertainty)):
         out[f"displacement{name}"] = np.where(seen, values[1::2], np.nan)
     by_difference = _p_value(fit, out["difference"], out["difference_u"])
     by_displacement = _p_value(fit, out["displacement"], out["displacement_u"])
@@ -373,7 +373,7 @@ def _trends(fit: Fit, along: Mapping[str, Array]) -> pd.DataFrame:
     }
     centred = np.reshape([values - values.mean() for values in chosen.values()], (-1, len(fit.residuals)))
     squares = np.einsum("kn,kn->k", centred, centred)
-    sums, scatter = residual_sums(fit, centred), _scatter(fit)
+    sums, scatter = residual_sums(fit, centred), fit.joint.birge_ratio
     out = pd.DataFrame({"covariate": [*chosen], "span": [float(np.ptp(values)) for values in chosen.values()]})
     out["slope"], out["slope_u"] = sums.value / squares, scatter * sums.uncertainty / squares
     out["added"], out["added_u"] = sums.added, scatter * sums.added_uncertainty
@@ -381,16 +381,11 @@ def _trends(fit: Fit, along: Mapping[str, Array]) -> pd.DataFrame:
     return out.sort_values("p_value", kind="stable", ignore_index=True)
 
 
-def _scatter(fit: Fit) -> float:
-    """Where the readings scatter more than declared, all that is calculated from them does too."""
-    return max(1.0, float(np.sqrt(fit.joint.reduced_chi_square)))
-
-
 def _p_value(fit: Fit, value: pd.Series[float], uncertainty: pd.Series[float]) -> Array:
     """Probability of values so far from zero; Student's where the scatter is that of the residuals."""
     ratio = -value.abs() / uncertainty.where(uncertainty > 0.0)
     dof = fit.solution.degrees_of_freedom
-    return np.asarray(2.0 * (special.stdtr(dof, ratio) if _scatter(fit) > 1.0 else special.ndtr(ratio)))
+    return np.asarray(2.0 * (special.stdtr(dof, ratio) if fit.joint.birge_ratio > 1.0 else special.ndtr(ratio)))
 
 
 def _worst_first(parts: pd.DataFrame) -> pd.DataFrame:

@@ -10,6 +10,7 @@ import threadpoolctl
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.diagnosis.adding import Added, add_probable, better_special_cases, explain_nearly_all
 from machine_tool_calibration.diagnosis.search.candidates import (
     Candidate,
@@ -385,4 +386,4 @@ def _good_enough(found: Diagnosis) -> bool:
         return size <= priors.SMALL
     without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
     moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)
-    return moved is not None and uncertainty is not None and moved < priors.GOOD_ENOUGH * 2.0 * uncertainty
+    return moved is not None and uncertainty is not None and moved < priors.GOOD_ENOUGH * K * uncertainty

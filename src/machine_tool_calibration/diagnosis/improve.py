@@ -91,10 +91,9 @@ class Step:
         explain is assumed to act on the map as noise does (an effect that the model lacks may act more); and what is
         seen at the tool point itself and not explained.
         """
-        chi = self.reduced_chi_square
-        if self.map_uncertainty is None or chi is None:
+        if self.map_uncertainty is None or self.reduced_chi_square is None:
             return None
-        more = max(np.sqrt(max(chi, 1.0)) / self.result.joint.marginal.scatter, 1.0)
+        more = max(self.result.joint.birge_ratio / self.result.joint.marginal.scatter, 1.0)
         return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
 
     def residual_volumetric_error(self, last: Step) -> float | None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -253,31 +253,26 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             shape, found = common_shape(fit.joint, effect, effect.shape_grid(observations))
             shapes[effect.id] = shape, found[fit.index]
     full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
-    loose = _unbounded(full, curved, {name: shape for name, (shape, _) in shapes.items()})
+    moving = fit_models([full]).fits[0].joint if curved else None
+    loose = {effect.id: names for effect in curved if moving and (names := unbounded(moving, effect))}
     if loose:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
         why = say("undetermined.not_bounded")
         sizes = {name: None if name in loose else size for name, (_, size) in shapes.items()}
         held = [effect_term(effect, observations, shapes[effect.id][0], sizes[effect.id]) for effect in curved]
-        unbounded = tuple(NotDetermined(name, why, effect) for effect, name in loose.items())
-        full = replace(base, left_out=base.left_out + unbounded).with_terms(held)
+        left = tuple(NotDetermined(name, why, effect) for effect, names in loose.items() for name in names)
+        full = replace(base, left_out=base.left_out + left).with_terms(held)
     return full.reestimated()
 
 
-def _unbounded(
-    model: MethodModel, effects: Sequence[Effect], shapes: Mapping[str, tuple[float, ...]]
-) -> dict[str, str]:
-    """Nonlinear coefficients that come out impossible, or less certain than they are large, by their effects' ids."""
-    names = {f"{effect.id}.{s.name}": effect.id for effect in effects for s in effect.shapes if not s.discrete}
-    if not names:
-        return {}
-    fit = fit_models([model]).fits[0]
-    variance = max(fit.joint.reduced_chi_square, 1.0) * np.diag(fit.covariance)
-    out = {}
-    for parameter, value, square, good in zip(model.parameters, fit.theta, variance, fit.determined, strict=True):
-        if parameter.name not in names or not good:
-            continue
-        found = parameter.reference + value
-        if found <= 0.0 or square > found**2 or abs(value) > abs(parameter.reference):
-            out[names[parameter.name]] = parameter.name
+def unbounded(fit: JointFit, effect: Effect) -> list[str]:
+    """Nonlinear coefficients of an effect in the fit that come out impossible, or less certain than they are large."""
+    wanted = {f"{effect.id}.{s.name}" for s in effect.shapes if not s.discrete}
+    solution, out = fit.solution, []
+    for k, parameter in enumerate(fit.assembly.parameters):
+        if parameter.name in wanted:
+            moved, u = float(solution.theta[k]), fit.birge_ratio * float(solution.covariance[k, k]) ** 0.5
+            found = parameter.reference + moved
+            if not solution.determined[k] or found <= u or abs(moved) > abs(parameter.reference):
+                out.append(parameter.name)
     return out

@@ -37,6 +37,6 @@ class RetroreflectorForm(HarmonicEffect):
             i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
             about = np.arctan2(observations.direction[:, j], observations.direction[:, i])
             return np.asarray(about - session.rotation_sign * observations.readings.column(axis.lower()))
-        if getattr(session.description, "dimension", 3) == 2:
+        if session.description.axes == "xy":
             return azimuth(observations.direction)
         return np.asarray(np.arccos(np.clip(observations.direction[:, 2], -1.0, 1.0)))

@@ -27,12 +27,12 @@ class StationDrift(Effect):
         return tuple(
             Coefficient(f"{i}.v{axis}", "m/s", -1e-6, 1e-6, say("coefficient.station_velocity", setup=i, axis=axis))
             for i in observations.session.setup_ids
-            for axis in "xyz"[: getattr(observations.session.description, "dimension", 3)]
+            for axis in observations.session.description.axes
         )
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Elapsed time times minus the beam's direction, for the readings of each station."""
-        readings, d = observations.readings, getattr(observations.session.description, "dimension", 3)
+        readings, d = observations.readings, len(observations.session.description.axes)
         time = readings.column("time")
         out = np.zeros((len(observations.session.setup_ids), d, len(readings)))
         for s in np.unique(readings.setup):

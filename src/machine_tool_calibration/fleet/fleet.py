@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.fleet.each import Done
 from machine_tool_calibration.fleet.machines import Machine, Machines, Occurrence
 from machine_tool_calibration.fleet.sessions import Identified, Place
@@ -29,7 +30,7 @@ def identified_table(done: Sequence[Done[Place, Identified]]) -> TextTable:
         row = [Verbatim(one.item.label), *[""] * 5, Verbatim(one.item.told(one.problem))]
         if one.found is not None:
             told = one.found.document
-            largest = 2.0 * float(one.found.values.loc[one.found.values["unit"] == "m", "u"].max())
+            largest = K * float(one.found.values.loc[one.found.values["unit"] == "m", "u"].max())
             model = ", ".join([told["model"], *told["effects"]])
             residual, u = micrometres(told["rms_residual"]), micrometres(largest)
             row[1:6] = [told["method"], model, str(told["used"]), residual, u]
@@ -75,8 +76,8 @@ def reasons_of(machine: Machine) -> Iterator[Said]:
         names = enumeration([_sized(one) for one in machine.diagnosis["effects"]])
         yield say("fleet.lacks", names=names) if names else say("fleet.unexplained")
     worst = machine.uncertain
-    if worst is not None and machine.largest_u is not None and 2.0 * worst.u > machine.largest_u:
-        expanded, most = quantity(2.0 * worst.u, "m"), quantity(machine.largest_u, "m")
+    if worst is not None and machine.largest_u is not None and K * worst.u > machine.largest_u:
+        expanded, most = quantity(K * worst.u, "m"), quantity(machine.largest_u, "m")
         yield say("fleet.wide", name=worst.name, u=expanded, most=most)
 
 
@@ -145,7 +146,7 @@ def _state(one: Machine) -> tuple[str, ...]:
         one.trend.dates[-1],
         str(len(one.entries)),
         "" if size is None else say("text.sized", name=size.name, size=quantity(size.value, size.unit, size.u)),
-        "" if worst is None else say("text.sized", name=worst.name, size=quantity(2.0 * worst.u, worst.unit)),
+        "" if worst is None else say("text.sized", name=worst.name, size=quantity(K * worst.u, worst.unit)),
     )
 
 

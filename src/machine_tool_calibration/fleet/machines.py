@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Any
 
 from machine_tool_calibration.budget.conformity import VOLUMETRIC
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.trends.logbook import Entry
 from machine_tool_calibration.trends.statement import Size
@@ -17,7 +18,6 @@ from machine_tool_calibration.trends.trend import Trend, trend
 CAUSES = ("limit", "change", "effect", "uncertain")
 """Why a machine needs attention, the most urgent first."""
 _LACKING = ("missing_effect", "unexplained")
-_COVERAGE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Machine:
         """Why it needs attention, of `CAUSES`; empty where it does not."""
         against = [one.against_limit for one in self.trend.courses if one.dates[-1] == self.trend.dates[-1]]
         worst = self.uncertain
-        wide = self.largest_u is not None and worst is not None and _COVERAGE * worst.u > self.largest_u
+        wide = self.largest_u is not None and worst is not None and K * worst.u > self.largest_u
         there = {
             "limit": "exceeded" in against,
             "change": any(one.changed for one in self.trend.courses),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from machine_tool_calibration.arrays import COVERAGE
+from machine_tool_calibration.coverage import COVERAGE
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
 from machine_tool_calibration.methods.probing.features import MonteCarlo

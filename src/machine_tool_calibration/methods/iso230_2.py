@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, groups, occurrence, rms
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -155,7 +156,7 @@ def positioning_uncertainty(figures: Positioning, runs_up: Array, runs_down: Arr
         nothing, no_scatter = _mean_and_s(read)
         true += [centre + nothing, s + no_scatter]
     found, expected = _of_axis(*drawn), _of_axis(*true)
-    out = {name: 2.0 * rms(found[name] - expected[name]) for name in FIGURES}
+    out = {name: K * rms(found[name] - expected[name]) for name in FIGURES}
     return {name: value for name, value in out.items() if np.isfinite(value) and np.isfinite(getattr(figures, name))}
 
 
@@ -292,7 +293,10 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
         return target, recorded[mine] * np.sign(line[leading]), deviation
     # Not recorded: the sign of the move to the reading; the second reading at a turning point comes from beyond, and
     # whence the first of a run comes is not known: it was approached as the next one is.
-    again |= np.diff(readings.repeat[mine], prepend=-1) != 0
+    stay, counted = np.cumsum(np.diff(group, prepend=-1) != 0), np.diff(readings.repeat[mine], prepend=-1) != 0
+    if 2 * np.count_nonzero(counted & (np.diff(group, prepend=-1) == 0)) > len(mine):
+        counted[1:] = False  # repeats of readings where the axis stands, and not of runs
+    again |= counted
     move = np.where(again, 0.0, np.sign(np.diff(group, prepend=group[0] - 1)))
     for k in np.flatnonzero(move == 0):
         following = np.flatnonzero(np.diff(group[k:]) != 0)

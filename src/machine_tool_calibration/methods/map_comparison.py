@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
@@ -25,7 +26,6 @@ LEVEL = 0.01
 BY_CHANCE = 0.0455
 """Share of normalised differences beyond 1 that chance makes: of what is normal beyond two standard deviations."""
 DRAWS = 400
-_COVERAGE = 2.0
 # Points of two maps that are one, m; singular values that are nothing, as a share of the largest.
 _SAME_POINT = 1e-6
 _LEAST_SINGULAR_VALUE = 1e-9
@@ -71,7 +71,7 @@ class MapComparison:
 
         0 where neither map may differ: a component that the common motion takes up wholly.
         """
-        expanded = _COVERAGE * self.u
+        expanded = K * self.u
         return np.where(expanded > 0, self.difference / np.where(expanded > 0, expanded, 1.0), 0.0 * self.difference)
 
     @property

@@ -92,6 +92,11 @@ class JointFit(Solved):
         return self.solution.chi_square / self.solution.degrees_of_freedom
 
     @property
+    def birge_ratio(self) -> float:
+        """How many times as much the readings scatter about the fit as declared; 1 where they scatter less."""
+        return max(float(np.sqrt(self.reduced_chi_square)), 1.0)
+
+    @property
     def p_value(self) -> float:
         """Probability of so large a sum of squares if the model is right and the declared uncertainty too."""
         return float(special.chdtrc(self.solution.degrees_of_freedom, self.solution.chi_square))

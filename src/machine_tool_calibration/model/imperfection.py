@@ -60,7 +60,7 @@ def _angles(observations: Observations) -> list[Array]:
 
 
 def misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], dof: int) -> float:
-    """Root mean square of the size of what every model lacks a little, in units of the scatter that it leaves.
+    """Root mean square of the size of what every model lacks a little, in units of what readings scatter by beside it.
 
     Args:
         projected: (u + 1, u + 1) inner products of all functions with the residual, outside the model.

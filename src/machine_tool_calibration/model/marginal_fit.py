@@ -202,6 +202,40 @@ class _Marginal:
     estimator: Array  # the covariance without what moves nothing: times the columns it takes readings to the mean
 
 
+@dataclass(frozen=True)
+class _Probable:
+    """Sizes of what does not reproduce that the readings leave probable."""
+
+    found: Components
+    ratios: Array  # (s, families) of them in units of the noise, the most probable first
+    weights: Array  # (s,) their probabilities, whose sum is 1
+    squares: float  # weighted sum of squares that is left beside them
+    again: tuple[float, float]  # squares and degrees of freedom of readings of the same thing; zeros without any
+    unrepeated: BoolArray  # (families,) those of which readings of the same thing tell nothing
+
+
+def _probable_sizes(outside: Gram, repeated: PureError | None, absorbed: BoolArray, most: int) -> _Probable:
+    """Readings of the same thing tell the sizes where there are such, else all of them do."""
+    families = int(outside.family.max(initial=-1)) + 1
+    pure = repeated.outside(absorbed, outside.family) if repeated is not None else None
+    same = outside if pure is None or not families else pure
+    shown, whole = (np.bincount(outside.family, np.diag(one.inner), families) for one in (same, outside))
+    unrepeated = shown < _LEAST_SHARE_LEFT * whole
+    found = components(outside if unrepeated.all() else same)
+    if unrepeated.any() and not unrepeated.all():
+        found = with_unrepeated(found, outside, unrepeated)
+    order = np.argsort(-found.log_weights)
+    order = order[: min(int(np.searchsorted(np.cumsum(found.weights[order]), _COVERED)) + 1, most)]
+    weights = found.weights[order] / found.weights[order].sum()
+    tried = [found.ratios[k] for k in order]
+    squares = float(weights @ [left_at(outside, ratio)[1] for ratio in tried])
+    again = (0.0, 0.0)
+    if repeated is not None and pure is not None:
+        again = repeated.whole(left_at(pure, tried[0])[1], pure.dof)
+    ratios: Array = np.array(tried).reshape(len(tried), families)
+    return _Probable(found, ratios, weights, squares, again, unrepeated | (repeated is None))
+
+
 def _average_over_sizes(
     solved: Solved, problem: Problem, wide: Problem, place: IntArray, offset: BoolArray, names: tuple[str, ...]
 ) -> _Marginal:
@@ -220,47 +254,31 @@ def _average_over_sizes(
     own, was = offsets_apart(place[runs], offset[runs], seen[runs])
     some = np.append(runs, u)
     inner = projected[np.ix_(some, some)]
-    repeated = _of_repeats(solved, families)
     outside = Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof)
-    # Readings of the same thing tell the sizes where there are such.
-    pure = None if repeated is None else repeated.outside(~seen[runs], own)
-    same = outside if pure is None or not len(runs) else pure
-    shown, whole = (np.bincount(own, np.diag(one.inner), len(was)) for one in (same, outside))
-    unrepeated = shown < _LEAST_SHARE_LEFT * whole
-    found = components(outside if unrepeated.all() else same)
-    if unrepeated.any() and not unrepeated.all():
-        found = with_unrepeated(found, outside, unrepeated)
-    chosen = np.argsort(-found.log_weights)
     most = _MOST_SIZES if solved.random is None else _MOST_WITH_RANDOM
-    chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
-    weights = found.weights[chosen] / found.weights[chosen].sum()
-    squares_left = float(weights @ [left_at(outside, found.ratios[k])[1] for k in chosen])
-    again = (0.0, 0.0)
-    if repeated is not None and pure is not None:
-        again = repeated.whole(left_at(pure, found.ratios[chosen[0]])[1], pure.dof)
-    plain, scatter = _scatter(squares_left, dof), _scatter(squares_left, dof, again)
+    known = _probable_sizes(outside, _of_repeats(solved, families), ~seen[runs], most)
+    plain, scatter = _scatter(known.squares, dof), _scatter(known.squares, dof, known.again)
     # Where nothing was read again and what is left is mostly something else, neither do runs.
     unmoved = imperfect.copy()
-    if solution.chi_square - squares_left < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
-        unmoved[runs] = True if repeated is None else unrepeated[own]
-    ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
-    tau = np.zeros((len(chosen), u))
+    if solution.chi_square - known.squares < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
+        unmoved[runs] = known.unrepeated[own]
+    tau = np.zeros((len(known.weights), u))
     # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too.
-    tau[:, runs] = ratios[:, own] * plain * min(found.noise, 1.0) / scatter
-    if imperfect.any():  # in those of the scatter, which it is a part of: in the noise's U would be a third too small
-        tau[:, imperfect] = misfit(
-            projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof
-        )
+    tau[:, runs] = known.ratios[:, own] * plain * min(known.found.noise, 1.0) / scatter
+    if imperfect.any():  # in those of what readings scatter by: the lack of fit, of places, grows with their repeats
+        both = np.append(runs, np.flatnonzero(imperfect))
+        tau[:, imperfect] = misfit(projected, both, own, tuple(known.ratios[0]), dof) * plain / scatter
     random = None
     if solved.random is None:
-        mean, covariance, estimator = _marginal(total, projected, root, tau, weights, scatter, unmoved)
+        mean, covariance, estimator = _marginal(total, projected, root, tau, known.weights, scatter, unmoved)
     else:
         tried = [_at(solved, solved.random, problem, total, squares, one, scatter) for one in tau]
         steps, covariances, found_random = zip(*tried, strict=True)
-        mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
-        estimator, random = covariance, found_random[int(np.argmax(weights))]
-    sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
-    return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2), estimator)
+        mean, covariance = _mixture(np.array(steps), np.array(covariances), known.weights, scatter)
+        estimator, random = covariance, found_random[0]
+    sizes = _sizes(solved, known.found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
+    ratio = np.sqrt(known.weights @ tau**2)
+    return _Marginal(mean, covariance, scatter, sizes, random, known.squares, ratio, estimator)
 
 
 def _imperfect(observations: Observations) -> tuple[Family, ...]:

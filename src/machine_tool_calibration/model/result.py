@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups, rms, unsigned
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
@@ -134,7 +135,7 @@ class ErrorMap:
     @property
     def largest_expanded(self) -> float:
         """Largest expanded uncertainty (k = 2) of one of them, m; infinite if there is none."""
-        return 2.0 * float(np.nanmax(self.uncertainty)) if self.determined else float("inf")
+        return K * float(np.nanmax(self.uncertainty)) if self.determined else float("inf")
 
 
 def map_change(before: ErrorMap, after: ErrorMap) -> float | None:

@@ -101,7 +101,7 @@ class RotaryPointer(ManagedNode):
             self._setup = setup
             self._setup_starts[setup] = max(stamp, now(self))
         azimuth, elevation = pointing(target.point[None], stations[setup])
-        flat = getattr(self._session, "dimension", 3) == 2
+        flat = self._session is not None and self._session.axes == "xy"
         begin = stamp if self._simulated else max(stamp, now(self))
         here = self._motion.position(seconds(begin - self._start))
         goal = {"azimuth": float(azimuth[0]), "elevation": 0.0 if flat else float(elevation[0])}

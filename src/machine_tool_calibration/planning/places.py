@@ -160,7 +160,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
         changed = {}
         if "azimuth" in session.readings.columns:
             changed["azimuth"], changed["elevation"] = pointing(points, place)
-            if getattr(description, "dimension", 3) == 2:
+            if description.axes == "xy":
                 changed["elevation"] = np.zeros(len(points))
         words = say(f"measure.{where}", place=", ".join(f"{v:.2f}" for v in place))
         extended = _in_one_more(session, setup, Changed(rows, changed, distance - distance[0]))

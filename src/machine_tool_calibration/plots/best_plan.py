@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.planning.best_plan import BestPlan, PlanQuality
 from machine_tool_calibration.plots.residuals import planes
@@ -36,7 +37,7 @@ def draw_best_plan(found: BestPlan) -> Figure:
     for (a, b), row in zip(shown, rows, strict=True):
         for panel, one, when in zip(row, (found.present, found.best), ("before", "after"), strict=True):
             _plane(panel, found.points, one, (a, b), top)
-            panel.set_title(say(f"picture.plan_{when}", size=expanded_text(2.0 * one.largest)), fontsize=10)
+            panel.set_title(say(f"picture.plan_{when}", size=expanded_text(K * one.largest)), fontsize=10)
     return figure
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.plots import style
 from machine_tool_calibration.reports.quantities import as_exact, quantity
@@ -201,7 +202,7 @@ def _headline(whole: _Map, scale: float) -> Iterator[str]:
     yield say("picture.magnified", scale=style.spaced(scale))
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
     # Along a direction that was not measured there is none.
-    expanded = 2 * float(np.linalg.norm(np.nan_to_num(whole.uncertainty[whole.good]), axis=1).max())
+    expanded = K * float(np.linalg.norm(np.nan_to_num(whole.uncertainty[whole.good]), axis=1).max())
     yield say("picture.largest", error=as_exact(largest, "m", expanded), u=as_exact(expanded, "m", expanded))
 
 
@@ -277,7 +278,7 @@ def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit:
 
 def _larger(whole: _Map, scale: float) -> float:
     """How much larger than the errors the ellipses must be drawn to be seen beside their points."""
-    typical = scale * 2 * float(np.nanmedian(whole.uncertainty[:, :2])) if whole.good.any() else 0.0
+    typical = scale * K * float(np.nanmedian(whole.uncertainty[:, :2])) if whole.good.any() else 0.0
     seen = _SMALLEST_ELLIPSE * float(np.ptp(whole.points[:, :2], axis=0).max(initial=0.0))
     return 1.0 if not typical > 0 or typical >= seen else max(style.round_down(2 * seen / typical), 1.0)
 

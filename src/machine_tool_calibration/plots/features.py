@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.methods.probing.features import Features
 from machine_tool_calibration.methods.probing.geometry import Circle, Line
 from machine_tool_calibration.plots import style
@@ -36,8 +37,8 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
     indices = [[place[one.name, "x"], place[one.name, "y"]] for one in centres]
     indices += [[place[one.name, "offset"], place[one.name, "direction"]] for one in walls]
     ends = [_ends(found, one, index) for one, index in zip(walls, indices[len(centres) :], strict=True)]
-    sizes = [np.linalg.norm(found.deviation[index]) + 2 * found.uncertainty[index].max() for index in indices]
-    sizes[len(centres) :] = [float(np.abs(off).max() + 2 * u.max()) for _, off, u in ends]
+    sizes = [np.linalg.norm(found.deviation[index]) + K * found.uncertainty[index].max() for index in indices]
+    sizes[len(centres) :] = [float(np.abs(off).max() + K * u.max()) for _, off, u in ends]
     for values in (beside or {}).values():
         sizes += [float(np.linalg.norm(values[index])) for index in indices[: len(centres)]]
     largest = float(np.nanmax(sizes, initial=0.0)) if np.isfinite(sizes).any() else 0.0

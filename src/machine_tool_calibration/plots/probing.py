@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.plots.style import magnification, name_axes, numbers, spaced
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
@@ -50,9 +51,9 @@ def _draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any
     """The form along each point's normal, magnified (Fig. 9), with bars of expanded uncertainty (k = 2)."""
     place, normal = _points(description)
     form, u = numbers(content["workpiece_form"]), numbers(content["workpiece_form_u"])
-    scale = _magnification(place, np.abs(form) + 2 * np.nan_to_num(u))
+    scale = _magnification(place, np.abs(form) + K * np.nan_to_num(u))
     panel.plot(*place.T * 1e3, ls="", marker=".", ms=3, color=_GRAY, label=say("picture.nominal"))
-    ends = [place + (form + sign * 2 * u)[:, None] * scale * normal for sign in (-1, 1)]
+    ends = [place + (form + sign * K * u)[:, None] * scale * normal for sign in (-1, 1)]
     for low, high in zip(*ends, strict=True):
         panel.plot([1e3 * low[0], 1e3 * high[0]], [1e3 * low[1], 1e3 * high[1]], color="tab:orange", lw=0.8)
     moved = place + form[:, None] * scale * normal
@@ -84,7 +85,7 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     grid, error, u = (numbers(content[key]) for key in ("grid", "position_error", "position_error_u"))
     size = np.linalg.norm(error, axis=1)
     good = np.isfinite(size)
-    expanded = 2 * np.linalg.norm(u, axis=1)
+    expanded = K * np.linalg.norm(u, axis=1)
     poor = good & (expanded > max(3 * float(np.median(expanded[good] if good.any() else 0.0)), 1e-5))
     scale = _magnification(grid, size[good & ~poor])
     xs, ys = np.unique(grid[:, 0]), np.unique(grid[:, 1])
@@ -102,7 +103,7 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
         )
     if not good.all():
         panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label=say("text.not_determined"))
-    known = quantity(2 * float(np.nanmedian(u)), "m") if good.any() else ""
+    known = quantity(K * float(np.nanmedian(u)), "m") if good.any() else ""
     panel.set_title(say("picture.plane_U" if known else "picture.plane", scale=spaced(scale), u=known))
     _frame(panel, legend=bool(poor.any() or not good.all()))
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.files import whole
 from machine_tool_calibration.words import say
 
@@ -79,7 +80,7 @@ def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> Non
 
 def draw_band(panel: Axes, at: Array, value: Array, u: Array, color: str = FOUND, **line: Any) -> None:
     """A found curve with the band of its expanded uncertainty (k = 2), all in the units of the panel."""
-    panel.fill_between(at, value - 2 * u, value + 2 * u, color=color, alpha=0.2, lw=0)
+    panel.fill_between(at, value - K * u, value + K * u, color=color, alpha=0.2, lw=0)
     drawn: dict[str, Any] = {"marker": "o", "ms": 3.0, "lw": 1.0, "color": color}
     panel.plot(at, value, **drawn | line)
 

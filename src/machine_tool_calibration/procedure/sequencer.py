@@ -414,7 +414,7 @@ class Sequencer:
     def _angles(self, step: Step) -> tuple[float, float]:
         """Commanded azimuth and elevation: Ibaraki et al. 2014, Eq. (1)."""
         azimuth, elevation = pointing(np.array([step.aim]), self._stations[step.setup])
-        is_flat = getattr(self.plan.procedure.session, "dimension", 3) == 2
+        is_flat = self.plan.procedure.session.axes == "xy"
         return float(azimuth[0]), 0.0 if is_flat else float(elevation[0])
 
     def _columns(self, step: Step, event: events.Captured, value: float) -> dict[str, float]:

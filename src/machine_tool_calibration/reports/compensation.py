@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller's files would leave of a machine's errors, as a table."""
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import TextTable, table
@@ -18,7 +19,7 @@ def left_table(found: Exported) -> TextTable:
         rms_left=lambda row: micrometres(row.rms_left),
         largest_now=lambda row: micrometres(row.largest_now),
         largest_left=lambda row: micrometres(row.largest_left),
-        U_rms=lambda row: micrometres(2 * row.uncertainty),
+        U_rms=lambda row: micrometres(K * row.uncertainty),
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.effects.pitch_periodic import aliases
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
@@ -46,7 +47,7 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
         if not lacks_reversal(content):
             return together((agree,))
         half = np.sqrt(scatter["found"] ** 2 - own**2)
-        contained = 2.0 * np.nanmedian(np.array(content["position_error_u"], dtype=float)) > half
+        contained = K * np.nanmedian(np.array(content["position_error_u"], dtype=float)) > half
         return together((agree, say("fit.reversal" if contained else "fit.reversal_beside")))
     if used:
         return say("fit.scatter_used", ratio=ratio, both=both)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult
@@ -84,7 +85,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
         told = str(count) if places == count else say("result.points_at", n=places, count=count)
         rows.append((say("result.points"), told))
         text = say("text.not_determined")
-        expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
+        expanded = (K * _rms(uncertainty), K * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
             sizes = zip((_rms(error), _largest(error)), expanded, strict=True)
             text = _lost(_rms_and_most(as_exact(size, "m", u) for size, u in sizes), error)
@@ -139,7 +140,7 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
             out.append((title, say("text.not_determined")))
             continue
         unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
-        largest = 2 * float(u[good].max())
+        largest = K * float(u[good].max())
         most, expanded = (as_exact(size, unit, largest) for size in (float(np.abs(found[good]).max()), largest))
         text = say("result.at_most", most=most, u=expanded)
         if not good.all():

@@ -4,6 +4,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.reports.goodness import effect_words
 from machine_tool_calibration.reports.quantities import (
@@ -94,7 +95,7 @@ def _what_grows(done: Improvement) -> str:
     before, after = done.steps[0].map_uncertainty, done.steps[-1].map_uncertainty
     if before is None or after is None or after < _GROWN * before:
         return ""
-    told = (as_exact(2 * u, "m", 2 * u) for u in (before, after))
+    told = (as_exact(K * u, "m", K * u) for u in (before, after))
     return say("improved.grows", **dict(zip(("before", "after"), told, strict=True)))
 
 

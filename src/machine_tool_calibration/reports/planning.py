@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.budget.enough import Reached
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.planning.best_plan import BestPlan
@@ -124,7 +125,7 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
 def _plan_u(found: BestPlan, u: float) -> str:
     if found.effects and np.isfinite(u):
         return f"{200.0 * u:.2g} %"
-    return expanded_text(2.0 * u)
+    return expanded_text(K * u)
 
 
 def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
@@ -159,8 +160,8 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
         readings=lambda one: str(len(one.session.readings)) if one.words else "",
         time=lambda one: duration(one.seconds) if one.words else "",
         besides=lambda one: one.aside,
-        U_map_rms=lambda one: expanded_text(2.0 * one.typical),
-        at_most_coordinate=lambda one: expanded_text(2.0 * _largest(one)),
+        U_map_rms=lambda one: expanded_text(K * one.typical),
+        at_most_coordinate=lambda one: expanded_text(K * _largest(one)),
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.methods.tracking.pointer_alignment import Centre, ZeroAngle
 from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable, Typed
@@ -35,7 +36,7 @@ def _centre_table(centre: Centre) -> TextTable:
         for name, u in centre.contributions.items()
     ]
     rows.append((say("pointer.combined"), *(micrometres(float(v)) for v in centre.u), "µm"))
-    rows.append((say("pointer.expanded"), *(micrometres(2.0 * float(v)) for v in centre.u), "µm"))
+    rows.append((say("pointer.expanded"), *(micrometres(K * float(v)) for v in centre.u), "µm"))
     return TextTable(say("pointer.title"), ("", "x", "y", ""), tuple(rows))
 
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.words import Said, say, together
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     """A value with its unit (SI), and its expanded uncertainty (k = 2) if there is a standard uncertainty."""
-    expanded = 2.0 * uncertainty if uncertainty is not None and math.isfinite(uncertainty) else 0.0
+    expanded = K * uncertainty if uncertainty is not None and math.isfinite(uncertainty) else 0.0
     if unit in ("m", "rad") and max(abs(value), expanded) < ROUNDING:
         value, expanded = 0.0, 0.0
     factor, shown = _scale(unit, max(abs(value), expanded))
@@ -192,7 +193,7 @@ def plus_minus(value: float | None, uncertainty: float | None, factor: float) ->
     """
     if value is None or uncertainty is None:
         return NOT_DETERMINED
-    text, expanded = with_expanded(value, 2.0 * uncertainty, factor)
+    text, expanded = with_expanded(value, K * uncertainty, factor)
     return f"{'+' if float(text) > 0.0 else ''}{text} ± {expanded}"
 
 
@@ -200,7 +201,7 @@ def value_and_uncertainties(
     value: float, uncertainty: float, unit: str, place: bool = False
 ) -> tuple[str, str, str, str]:
     """Value, u and U with as many digits as `quantity` shows, and the unit that people use; a place is in mm."""
-    expanded = 2.0 * uncertainty
+    expanded = K * uncertainty
     factor, name = (1e3, "mm") if place else _scale(unit, max(abs(value), expanded))
     size = expanded * factor
     found, u = in_digits_of(size, value * factor), in_digits_of(size, uncertainty * factor, 1)
@@ -223,7 +224,7 @@ def with_expanded(value: float, expanded: float, factor: float = 1e6) -> tuple[s
 
 def of_map(size: float | None, u: float | None) -> tuple[str, str]:
     """The size of a map's errors and its expanded uncertainty (k = 2), m, likewise; a dash where one is not known."""
-    return (micrometres(size), NOT_DETERMINED) if size is None or u is None else with_expanded(size, 2 * u)
+    return (micrometres(size), NOT_DETERMINED) if size is None or u is None else with_expanded(size, K * u)
 
 
 def decimals(uncertainty: float) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import Kind
@@ -173,12 +174,12 @@ def _standards(result: Result | JointResult) -> pd.DataFrame:
     runs = [(run, {name: name for name in FIGURES}) for run in content.get("iso230_2", ())]
     runs += [(run, DIAGONAL_FIGURES) for run in content.get("iso230_6", {}).get("runs", ())]
     rows = [
-        (f"{name}_{run['axis']}", run["setup"], run[figure], run.get(f"{figure}_U", np.nan) / 2.0, "m")
+        (f"{name}_{run['axis']}", run["setup"], run[figure], run.get(f"{figure}_U", np.nan) / K, "m")
         for run, figures in runs
         for name, figure in figures.items()
     ]
-    rows += [(f"{o['motion']}_range", None, o["value"], o["U"] / 2.0, o["unit"]) for o in content.get("iso230_7", ())]
-    rows += [(o["name"], o["setup"], o["value"], o["U"] / 2.0, o["unit"]) for o in content.get("figures", ())]
+    rows += [(f"{o['motion']}_range", None, o["value"], o["U"] / K, o["unit"]) for o in content.get("iso230_7", ())]
+    rows += [(o["name"], o["setup"], o["value"], o["U"] / K, o["unit"]) for o in content.get("figures", ())]
     found = pd.DataFrame(rows, columns=["error", "setup", "value", "u", "unit"]).astype({"value": float, "u": float})
     found["determined"] = np.isfinite(found["value"]) & np.isfinite(found["u"])
     found.loc[~found["determined"], ["value", "u"]] = np.nan
@@ -210,7 +211,7 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
         frames.append(kept.assign(error="workpiece_error", unit="m", value=part["error"]))
     frames.append(_standards(result))
     whole = pd.concat([frame for frame in frames if len(frame)], ignore_index=True)
-    whole["U"] = 2.0 * whole["u"]
+    whole["U"] = K * whole["u"]
     more = [name for name in whole if name not in _TIDY]
     return whole.reindex(columns=[_TIDY[0], *more, *_TIDY[1:]])
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.methods.iso230_2 import counted_positions
 from machine_tool_calibration.model.result import Result
@@ -145,7 +146,7 @@ def _rotary(found: Sequence[Mapping[str, Any]], line: Mapping[str, Any]) -> Text
     ]
     for name in (name for name in line if f"{name}_u" in line):
         u = line[f"{name}_u"]
-        shown = _said(line[name], None if u is None else 2.0 * u)
+        shown = _said(line[name], None if u is None else K * u)
         rows.append((say("iso230.axis_average_line"), name, shown, "µm" if name[0] in "XYZ" else "µrad", ""))
     columns = heads("", "error_motion", "value", "unit", "angles")
     return TextTable(say("iso230.rotary"), columns, tuple(rows), say("iso230.synchronous"))

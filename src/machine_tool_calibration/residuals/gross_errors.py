@@ -127,6 +127,7 @@ class _Fit:
     residual: Array  # (n,) over the declared uncertainty; of a reading held out, from what all others predict
     spread: Array  # (n,) its standard deviation over that of the noise; infinite where it says nothing
     bulk: Bulk  # see there
+    dof: float  # degrees of freedom of the readings that are not held out
 
     @property
     def predicted(self) -> Array:
@@ -187,7 +188,8 @@ class _Search:
             if len(more) == len(asked):
                 break
             asked = more
-        return self._named(held, fit, alike)
+        # Of those that are left as many must check the unknowns as were found wrong by them.
+        return self._named(held, fit, alike) if fit.dof >= max(len(np.setdiff1d(held, list(alike))), 1) else []
 
     def suspected(self) -> IntArray:
         """Readings that a robust fit suspects, if one of them lies farther out than noise does."""
@@ -244,7 +246,7 @@ class _Search:
         dof = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
         noise = bulk_of(np.abs(residual / spread)[seen], dof, self.rounding, self.explained[seen])
-        return _Fit(plain, solution, weight, residual, spread, noise)
+        return _Fit(plain, solution, weight, residual, spread, noise, dof)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
         """Those of the readings asked for, which are held out, that have gross errors."""

@@ -228,6 +228,11 @@ class Description(Record):
     about: About = Field(default_factory=dict)
     budget: Contributors = ()  # contributors to the uncertainty of the readings, beside their own scatter
 
+    @property
+    def axes(self) -> str:
+        """Those along which places are told: `xy` of a measurement in a plane."""
+        return "xyz"
+
     def as_a(self, kind: type[Said]) -> Said:
         """The same, where its method is known; a TypeError if it is of another one."""
         if not isinstance(self, kind):
@@ -273,6 +278,11 @@ class TrackingInterferometer(Description):
     dimension: Literal[2, 3]
     pointing: Literal["open_loop", "tracking"]
     setups: Annotated[tuple[StationSetup, ...], _SETUPS]
+
+    @property
+    def axes(self) -> str:
+        """In two dimensions `xy`."""
+        return "xyz"[: self.dimension]
 
 
 class RotaryAxis(Description):

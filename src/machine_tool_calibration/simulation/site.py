@@ -232,7 +232,7 @@ class Site(LiveMachine):
         if not isinstance(setup, StationSetup):
             raise CalibrationError(f"setup {setup.id} of a {description.method} session is not a station")
         drawn = self._drawn(11, index, self.spec.station_uncertainty, setup.position_uncertainty)
-        if getattr(description, "dimension", 3) == 2:
+        if description.axes == "xy":
             drawn[2] = 0.0
         return np.array(setup.position) + drawn
 

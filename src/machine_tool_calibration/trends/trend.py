@@ -11,6 +11,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.budget.conformity import unit_of_figure
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.marginal import log_size_prior
 from machine_tool_calibration.estimation.priors import ACCEPTED, SCALE_STEP, SMALLEST_SIGNAL, SURE
@@ -188,7 +189,6 @@ def _step(case: _Case, left: Array, sigma: Array, place: Array, last: int, befor
     return float(solved @ (design.T @ (inverse * left))), float(np.sqrt(solved @ row))
 
 
-_COVERAGE = 2.0
 _DAY = 86400.0
 
 
@@ -241,7 +241,7 @@ class Course:
         """Of the last session: `exceeded`, `kept`, or `open` where U contains the limit; None without a limit."""
         if self.limit is None:
             return None
-        size, room = abs(self.value[-1]), _COVERAGE * self.u[-1]
+        size, room = abs(self.value[-1]), K * self.u[-1]
         return "exceeded" if size - room > self.limit else "kept" if size + room <= self.limit else "open"
 
     @property

@@ -15,6 +15,7 @@ from bokeh.document.callbacks import invoke_with_curdoc
 from bokeh.models import ColumnDataSource, HoverTool, Span
 from bokeh.plotting import figure
 
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.plots import style
 from machine_tool_calibration.plots.residuals import color as setup_color
@@ -293,7 +294,7 @@ def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:
     And errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is drawn, NaN
     in what is said.
     """
-    error, wide = np.nan_to_num(found.error), 2 * np.nan_to_num(found.uncertainty)
+    error, wide = np.nan_to_num(found.error), K * np.nan_to_num(found.uncertainty)
     out = {}
     for k, axis in enumerate("xyz"):
         out[axis] = 1e3 * found.points[:, k]

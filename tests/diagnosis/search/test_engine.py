@@ -100,6 +100,7 @@ def test_angular_errors_of_a_step_diagonal_are_no_effect() -> None:
     assert found.search.spread[RANDOM] > 1e-6
 
 
+@pytest.mark.long
 def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     # Warm after a third of the run: slower, it would be a drift.
     flaws = [FlawSpec(id="warmup_x", amplitude=8e-6, parameters={"tau": 160.0}), FlawSpec(id="backlash_x", size=1.5e-6)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from machine_tool_calibration.arrays import COVERAGE
+from machine_tool_calibration.coverage import COVERAGE
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.probing.features import Features, features, monte_carlo

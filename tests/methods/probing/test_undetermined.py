@@ -186,6 +186,7 @@ def test_point_and_index_without_touch(make, differences):
         assert np.nanmax(np.abs(difference[name])) < PICO
 
 
+@pytest.mark.long(but=("0", "5"))
 @pytest.mark.parametrize("seed", range(10))
 def test_whatever_is_given_is_right(make, differences, seed):
     """Random parts, grids and angles: any combination of nodes may be out of reach."""

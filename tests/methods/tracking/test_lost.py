@@ -98,6 +98,7 @@ def test_a_station_that_is_all_but_lost(left, pointing, simulated, truth, edit, 
     assert 0.75 < normalised(result, truth(made), slice(None)) < 1.25
 
 
+@pytest.mark.long(but=("open_loop-1.2e-05",))
 @pytest.mark.parametrize(("pointing", "station_error"), [("open_loop", 1.2e-5), ("tracking", 1e-3)])
 def test_all_targets_in_one_plane_of_space(pointing, station_error, simulated, truth):
     """Station B lies in that plane; how far outside, nothing says but what was declared. The map is right."""
@@ -113,6 +114,7 @@ def test_all_targets_in_one_plane_of_space(pointing, station_error, simulated, t
     assert 0.5 < np.mean(squares) < 1.6
 
 
+@pytest.mark.long
 def test_stations_nearly_on_a_line(simulated, truth, many):
     """Weak across the line, and said so."""
     line = ((-0.5, -0.5, 0.0), (0.0, -0.502, 0.0), (0.4, -0.499, 0.0), (0.9, -0.5, 0.0))

@@ -145,7 +145,6 @@ def between_the_grid(
         None where the grid's values are as good.
     """
     place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
-    scatter = max(fit.reduced_chi_square, 1.0)
     out, finer = [], False
     for candidate in candidates:
         # A coefficient that the readings do not bound is none of the fit's unknowns.
@@ -154,7 +153,7 @@ def between_the_grid(
             reference = np.array([fit.assembly.parameters[k].reference for k in at])
             found = reference + fit.solution.theta[at]
             distance = np.abs(found - used[candidate.name])
-            if (distance > _BETWEEN * np.sqrt(scatter * np.diag(fit.solution.covariance)[at])).any():
+            if (distance > _BETWEEN * fit.birge_ratio * np.sqrt(np.diag(fit.solution.covariance)[at])).any():
                 more = shaped_at(pool, candidate.effect, tuple(found.tolist()))
                 candidate = replace(candidate, shapes=(*candidate.shapes, more), equally=candidate.count)
                 finer = True

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.methods.ball_bar.circle import angles, arms, travel_sense
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Term
@@ -120,9 +121,9 @@ def _figures(paths: Mapping[str, _Path], both: Array, length_u: float | None) ->
     for way, path in paths.items():
         radial = path.about(centre)
         for name, at in (("F_max", int(np.argmax(radial))), ("F_min", int(np.argmin(radial)))):
-            yield f"{name}_{way}", float(radial[at]), 2.0 * float(np.hypot(path.u[at], length_u))
+            yield f"{name}_{way}", float(radial[at]), K * float(np.hypot(path.u[at], length_u))
     if len(paths) == 2:
-        yield "D", float(both[2]), 2.0 * length_u
+        yield "D", float(both[2]), K * length_u
 
 
 def _range(deviation: Array, u: Array) -> tuple[float, float]:
@@ -138,7 +139,7 @@ def _expanded(values: Array, u: Array, figure: Callable[[Array], float]) -> floa
     rng = np.random.default_rng(1)
     drawn = np.array([figure(values + u * rng.standard_normal(len(u))) for _ in range(_DRAWS)])
     too_large = (drawn.mean() - figure(values)) / (np.sqrt(2.0) - 1.0)
-    return 2.0 * float(np.hypot(drawn.std(), too_large))
+    return K * float(np.hypot(drawn.std(), too_large))
 
 
 def _hysteresis(forth: _Path, back: _Path) -> tuple[float, float] | None:
@@ -178,5 +179,5 @@ def contributions(fit: Fit, terms: Sequence[Term], first: int) -> list[dict[str,
                 continue
             apart = left[int(np.argmax(change))] - left[int(np.argmin(change))]
             u = float(np.sqrt(max(apart @ fit.covariance[np.ix_(mine, mine)] @ apart, 0.0)))
-            out.append(_figure(setup.id, f"G_b of {term.name}", float(np.ptp(change)), 2.0 * u))
+            out.append(_figure(setup.id, f"G_b of {term.name}", float(np.ptp(change)), K * u))
     return sorted(out, key=lambda one: -one["value"])

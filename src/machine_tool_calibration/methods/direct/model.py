@@ -115,6 +115,8 @@ def point_datum(points: tuple[PointErrors, ...], observed: Observations) -> Iter
 # Nodes of a table where the axis was read at more positions than it has readings to fill.
 _NODES_OF_MANY, _NODES_OF_FEW = 21, 5
 _MOST_NODES = 101
+# Share of readings that nodes may take, so that the others check them.
+_CHECKED = 2 / 3
 
 
 def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Array:
@@ -149,8 +151,8 @@ def asked_tables(
     axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
     many, count = _NODES_OF_MANY, count or len(position)
     along = {axis: position[:, "XYZ".index(axis)] for axis in axes}
-    # too many for scattered places that were read once: two readings for a node
-    if sum(min(len(distinct_nodes(along[axis])), many) for axis in axes) >= count:
+    # too many for places that were read once, of which each would be its own node: two readings for a node
+    if sum(min(len(distinct_nodes(along[axis])), many) for axis in axes) > _CHECKED * count:
         many = max(_NODES_OF_FEW, count // (2 * len(axes)))
     tables = []
     for name in terms:

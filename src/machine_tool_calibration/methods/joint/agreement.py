@@ -19,6 +19,7 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray, inverse_root
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.effects.error_motion import polynomials
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, interpolation, parse_motion
 from machine_tool_calibration.methods.joint.model import CommonModels
@@ -136,7 +137,7 @@ def _sentence(entry: Contradiction) -> str:
     motion: str = entry.motion
     if entry.alike:
         motion = say("agreement.motion_or", motion=entry.motion, others=", ".join(entry.alike))
-    size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (95 %)"
+    size = f"{abs(entry.difference) * scale:.3g} ± {K * entry.difference_u * scale:.2g} {unit} (95 %)"
     key = "agreement.pair" if len(entry.others) == 1 else "agreement.others"
     return say(key, one=entry.session, other=entry.others[0], motion=motion, size=size)
 

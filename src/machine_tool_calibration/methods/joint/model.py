@@ -16,7 +16,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.effect_terms import common_shape, effect_term, without_absorbed
+from machine_tool_calibration.effects.effect_terms import common_shape, effect_term, unbounded, without_absorbed
 from machine_tool_calibration.effects.error_motion import sensed_lever_arms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import Linearised
@@ -25,7 +25,7 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, interpola
 from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import WAVES_NODES
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, assemble, weight_row
 from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
@@ -313,21 +313,7 @@ def _with_curved(models: list[MethodModel], labels: Sequence[str], effect: Effec
     if all(coefficient.discrete for coefficient in effect.shapes):
         return fixed
     moving = _extended(models, effect, shape, sizes)
-    return moving if _shape_is_determined(fit_models(moving, labels), effect) else _held(fixed, effect, shape)
-
-
-def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
-    """Whether the fit says something of all nonlinear coefficients: possible, and not lost in their uncertainties."""
-    solution, parameters = fit.solution, fit.assembly.parameters
-    sigma = np.sqrt(np.diag(solution.covariance).clip(0.0) * max(fit.reduced_chi_square, 1.0))
-    wanted = {f"{effect.id}.{c.name}" for c in effect.shapes if not c.discrete}
-    good = solution.determined
-    for k, p in enumerate(parameters):
-        if p.name in wanted:
-            value = float(p.reference + solution.theta[k])
-            if not good[k] or value <= 0.0 or sigma[k] > value or abs(value - p.reference) > abs(p.reference):
-                return False
-    return True
+    return _held(fixed, effect, shape) if unbounded(fit_models(moving, labels), effect) else moving
 
 
 def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...]) -> list[MethodModel]:

@@ -21,7 +21,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from machine_tool_calibration.arrays import COVERAGE, Array, standard_draws
+from machine_tool_calibration.arrays import Array, standard_draws
+from machine_tool_calibration.coverage import COVERAGE
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.solve import solve_normal

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.arrays import Array, IntArray, rigid_motions
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
@@ -380,7 +381,7 @@ def _error_motion_values(model: RotaryAxisModel, fit: Fit) -> list[dict[str, Any
             value = float(fit.theta[high] - fit.theta[low])
             between = fit.covariance[high, high] + fit.covariance[low, low] - 2.0 * fit.covariance[high, low]
             u = float(np.sqrt(max(between, 0.0)))
-        told = {"kind": kind[along], "motion": name, "angles": len(mine), "value": value, "U": 2.0 * u}
+        told = {"kind": kind[along], "motion": name, "angles": len(mine), "value": value, "U": K * u}
         out.append({**told, "unit": "rad" if name[1] in "ABC" else "m"})
     return out
 

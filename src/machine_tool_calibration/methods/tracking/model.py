@@ -233,7 +233,7 @@ def _known_places(model: TrackingModel) -> Iterator[Prior]:
 
 
 # Standard uncertainty above which a position error counts as not determined, m; and that of readings which are known
-# no better than a tenth of it, over theirs.
+# no better than a tenth of it, over what these scatter by.
 _VAGUE, _VAGUE_READINGS = 1e-4, 10.0
 # Stations lie in a plane or on a line where their least extent is below this share of the largest.
 _FLAT = 0.05
@@ -341,7 +341,7 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
     own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
     # A direction known no better than this says nothing of a machine, and a linear fit little of it.
-    most = max(_VAGUE, _VAGUE_READINGS * model.observations.session.sigma)
+    most = max(_VAGUE, _VAGUE_READINGS * fit.joint.birge_ratio * model.observations.session.sigma)
     vague = uncertainty > most
     error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
     covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)

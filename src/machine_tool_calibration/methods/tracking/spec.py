@@ -63,7 +63,7 @@ class TrackingSpec(MethodSpec):
     def columns(self, description: TrackingInterferometer) -> tuple[str, ...]:
         """The commanded direction of the beam, where it does not follow the target."""
         angles = ("azimuth", "elevation")[: description.dimension - 1] if description.pointing == "open_loop" else ()
-        return ("setup", "repeat", *"xyz"[: description.dimension], *angles, "displacement")
+        return ("setup", "repeat", *description.axes, *angles, "displacement")
 
     def words(self, description: TrackingInterferometer) -> str:
         """How the beam points, in how many dimensions."""

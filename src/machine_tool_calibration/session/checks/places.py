@@ -71,7 +71,7 @@ def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]
         own = spec_of(session).turns_one_axis and key == "stations"
         places, u = np.asarray(found[key]), np.asarray(found.get(f"{key}_u", np.zeros(nominal.shape)))
         away = off_declared(places, nominal) if own else places - nominal
-        away = np.where(np.isfinite(away), away, 0.0)[:, : getattr(session.description, "dimension", 3)]
+        away = np.where(np.isfinite(away), away, 0.0)[:, : len(session.description.axes)]
         for entry, one, own_u in zip(entries, away, u, strict=True):
             j = int(np.argmax(np.abs(one)))
             declared = entry.position_uncertainty

@@ -80,7 +80,7 @@ def _beside(session: Session) -> Iterator[str]:
 
 
 def _repeated(session: Session) -> Iterator[str]:
-    repeats = np.unique(session.readings.repeat)
+    repeats = np.unique(session.as_recorded.readings.repeat)
     if len(repeats) != session.description.repeats:
         named = f"{', '.join(map(str, repeats[:8]))}{' …' if len(repeats) > 8 else ''}"
         stated = session.description.repeats
