@@ -361,3 +361,21 @@ def test_what_every_model_lacks_widens_the_map_by_as_much_as_it_moves_it(
     # Of more readings than this it is left out, and scatter alone says too little.
     monkeypatch.setattr(marginal_fit, "_ENOUGH", len(session.readings) - 1)
     assert rms(uncertainty[seen]) > 1.3 * rms(found(3.0)[1][seen])
+
+
+def test_what_every_model_lacks_is_no_larger_for_being_read_again() -> None:
+    """Places differ by eight times the noise: each is read twice, or sixteen times."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5)).session
+    place = build_model(session)[0].observations.place
+    change = 8.0 * session.sigma * np.random.default_rng(2).normal(size=place.max() + 1)[place]
+
+    def uncertainty(times: int) -> Array:
+        own, n = session.readings, len(session.readings)
+        every = own.select(np.tile(np.arange(n), times))
+        noise = session.sigma * np.random.default_rng(3).normal(size=n * times)
+        read = np.tile(own.displacement + change, times) + noise
+        repeat = every.repeat + np.repeat(np.arange(times), n) * (own.repeat.max() + 1)
+        fit = fit_models([build_model(session.with_readings(replace(every, displacement=read, repeat=repeat)))[0]])
+        return error_map(fit.fits[0]).uncertainty[:, :2]
+
+    assert rms(uncertainty(8)) == pytest.approx(rms(uncertainty(1)), rel=0.2)

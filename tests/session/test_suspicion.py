@@ -61,6 +61,15 @@ def test_a_column_of_an_axis_that_was_not_filled_in() -> None:
     assert "mm off what the same station read at the same place: is a column of the axes not filled in?" in says
 
 
+def test_a_repeat_of_which_all_was_set_aside_is_in_the_file(sound: Session) -> None:
+    readings = sound.readings
+    counted = sound.with_readings(replace(readings, repeat=np.arange(len(readings))))
+    every = replace(counted, description=sound.description.model_copy(update={"repeats": len(readings)}))
+    assert not suspicions([every])
+    assert not suspicions([every.without(np.arange(len(readings)) == 3)])
+    assert "repeats is" in suspicions([counted])[0]
+
+
 def doubled(session: Session) -> Session:
     """Where times are known, it is refused."""
     columns = {name: values for name, values in session.readings.columns.items() if name != "time"}

@@ -138,6 +138,12 @@ def test_runs_that_begin_anew_at_one_end_went_one_way(direct: SimpleNamespace) -
     thrice = session.with_readings(up.select(np.repeat(np.arange(len(up)), 3)))
     (run,) = identify(thrice).error_map.content["iso230_2"]
     assert run["count_up"].tolist() == [15] * len(run["position"]) and not run["count_down"].any()
+    # Nor where repeats count the readings of a place.
+    once = up.select(up.repeat == 0)
+    one = once.select(np.repeat(np.arange(len(once)), 10))
+    counted = session.with_readings(replace(one, repeat=np.tile(np.arange(10), len(once))))
+    (run,) = identify(counted).error_map.content["iso230_2"]
+    assert run["count_up"].tolist() == [10] * len(run["position"]) and not run["count_down"].any()
 
 
 @pytest.mark.parametrize("kind", ["straightness", "grid_plate", "drilled_plate"])

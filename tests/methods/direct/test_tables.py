@@ -14,6 +14,7 @@ import pytest
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.direct.model import nodes_from
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.session import Session
 
 from ... import plates
 
@@ -143,6 +144,30 @@ def test_few_scattered_places_have_coarse_tables_of_three_axes(direct: SimpleNam
     at = found.error_map.points
     left = direct.fitted_out(found.error_map.error - errors(at), direct.rigid_motions(at))
     assert np.sqrt(np.mean(left**2)) < 5e-6
+
+
+def _once(direct: SimpleNamespace, count: int) -> Session:
+    """An axis of which each place was read once, a smooth curve that is steep at its start."""
+    x = np.linspace(0.0, 0.6, count)
+    read = -1e-4 * x / 0.6 - 4e-5 * (1.0 - np.exp(-x / 0.02)) + np.random.default_rng(8).normal(scale=5e-7, size=count)
+    at, along = np.c_[x, 0 * x, 0 * x], np.tile(np.eye(1, 3), (count, 1))
+    session: Session = direct.written(at, along, read, datum="offset", terms=["EXX"], sigma=1e-6)
+    return session
+
+
+@pytest.mark.parametrize("count", range(10, 30))
+def test_of_places_that_were_read_once_what_is_set_aside_leaves_a_model(direct: SimpleNamespace, count: int) -> None:
+    found = identify(_once(direct, count))
+    assert len(found.rejected) <= max(count // 6, 2)
+    assert found.joint.solution.degrees_of_freedom >= count // 3
+
+
+def test_a_wrong_reading_of_a_place_that_was_read_once_is_found(direct: SimpleNamespace) -> None:
+    session = _once(direct, 24)
+    read = session.readings.displacement.copy()
+    read[8] *= 10.0
+    found = identify(session.with_readings(replace(session.readings, displacement=read)))
+    assert 8 in {one.row for one in found.rejected}
 
 
 def _scattered_plate(direct: SimpleNamespace, seed: int, holes: int, spread: float) -> object:

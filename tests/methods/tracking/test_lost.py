@@ -14,6 +14,7 @@ from machine_tool_calibration.estimation.problem import Problem, group_points
 from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.tracking.datum import MultilaterationPart
+from machine_tool_calibration.session.description import StandardUncertainty
 
 FIVE = ((-0.4, -0.3, -0.1), (0.8, -0.2, 0.0), (0.1, 0.9, -0.1), (0.3, 0.2, 1.1), (0.9, 0.9, 0.5))
 
@@ -332,3 +333,13 @@ def test_rows_against_finite_differences():
 def test_same_bits_every_time():
     answers = {solve(Scene(3, side=22, seed=4).problem()).theta.tobytes() for _ in range(3)}
     assert len(answers) == 1
+
+
+def test_what_is_determined_does_not_depend_on_a_declaration_that_is_far_too_small(simulated):
+    """Readings that scatter by 300 or by 3000 times what is declared."""
+    session = simulated(2, "tracking", noise=3000.0).session
+    known = [
+        identify(replace(session, description=session.description.model_copy(update={"standard_uncertainty": one})))
+        for one in (StandardUncertainty(displacement=factor * session.sigma) for factor in (10.0, 1.0))
+    ]
+    assert determined(known[0]).all() and determined(known[1]).all()
