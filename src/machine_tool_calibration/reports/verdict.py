@@ -39,6 +39,8 @@ AS_GOOD = 0.1
 _OF_PLACES = ("place", "target")
 # What does not reproduce over the residual, from which it is what limits.
 _LIMITS = 0.7
+# Probability from which an effect is named without it.
+_SURELY = 0.9
 # Share of the whole scatter from which that of repeats is part of the story.
 _PARTLY = 0.5
 # Readings for one independent one from which the memory of the noise is told.
@@ -115,10 +117,7 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
         probabilities = [look.of(name).probability for name in diagnosis.accepted]
-        names = [
-            say("diagnosis.or_alike", what=name) if chance < priors.ACCEPTED else name
-            for name, chance in zip(names, probabilities, strict=True)
-        ]
+        names = [_with_doubt(name, p) for name, p in zip(names, probabilities, strict=True)]
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
         return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
@@ -136,6 +135,13 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     # Of the readings that were not set aside.
     outliers = say("diagnosis.outliers", n=len(diagnosis.gross_errors))
     return together((outliers, sound)) if diagnosis.verdict == "outliers" else sound
+
+
+def _with_doubt(name: str, chance: float) -> str:
+    """An effect that is accepted, with how sure that is where it is not sure; of look-alikes one stands for all."""
+    if chance < priors.ACCEPTED:
+        return say("diagnosis.or_alike", what=name)
+    return say("diagnosis.with_probability", what=name, p=probability(chance)) if chance < _SURELY else name
 
 
 def only_reversal(diagnosis: Diagnosis) -> bool:
