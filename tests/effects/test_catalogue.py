@@ -243,6 +243,7 @@ def test_nothing_is_found_where_nothing_is(name: str) -> None:
         assert all(coefficient.low <= e.value <= coefficient.high for e in told)
 
 
+@pytest.mark.long(but=[f"{plan}-{name}" for plan, names in TAKEN_UP.items() for name in names if name in EACH])
 @pytest.mark.parametrize(("plan", "name"), [(plan, name) for plan, names in TAKEN_UP.items() for name in names])
 def test_what_the_model_takes_up_is_said_and_does_no_harm(plan: str, name: str) -> None:
     session, without = sound(plan)
