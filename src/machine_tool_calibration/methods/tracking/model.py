@@ -116,8 +116,9 @@ class TrackingModel(MethodModel):
     @property
     def known(self) -> Array:
         """(S,) what is taken as known of the stations' positions beforehand, at least, m."""
-        declared = [setup.position_uncertainty or 0.0 for setup in self.description.setups]
-        return np.maximum(declared, _ROUGHLY)
+        # By one who says nothing of it no better than readings say where they are.
+        unsaid = self.observations.session.sigma
+        return np.maximum([setup.position_uncertainty or unsaid for setup in self.description.setups], _ROUGHLY)
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Free targets are eliminated point by point; tables enter as columns."""
