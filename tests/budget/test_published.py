@@ -12,6 +12,7 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.complete import completed
+from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.enough import Until, after_each_setup, parts
 from machine_tool_calibration.budget.propagate import propagate
@@ -91,6 +92,18 @@ def test_setups_that_read_the_same_axis_have_figures_of_their_own() -> None:
     own = fit_sessions(simulate(SimulationSpec(plan=plan, seed=1)).session)
     names = [q.name for q in everything(own).quantities if figure_of(q.name) == "A"]
     assert names == ["A_X.X1", "A_X.X2"]
+    # A tolerance of the axis is one of each of them.
+    verdicts = conformity(own, {"A_X": 1.0}).each
+    assert [one.name for one in verdicts] == names and not any(np.isnan(one.value) for one in verdicts)
+
+
+@pytest.mark.parametrize("axis", ["A", "C"])
+def test_error_motions_of_a_rotary_axis_have_their_angles(axis: str) -> None:
+    plan = RotaryPlan.model_validate({"axis": axis})
+    known = everything(fit_sessions(simulate(SimulationSpec(plan=plan, seed=1)).session)).by_name
+    for name in (f"E{component}{axis}" for component in "XYZABC"):
+        np.testing.assert_allclose(known[name].at, np.radians(np.arange(0.0, 360.0, 20.0)), atol=1e-9)
+        assert known[name].where(1).endswith("20°")
 
 
 def test_a_table_with_its_targets_stations_and_axis() -> None:

@@ -21,6 +21,7 @@ from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.compensation import harm_words, left_table
+from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, simulate
 
 DATA = Path(__file__).parents[1] / "data"
 VOLUMETRIC = ("isg", "etalon")
@@ -198,6 +199,21 @@ def test_step_diagonal_profiles_hold_the_squareness() -> None:
     exy = next(table for table in made.tables if table.name == "EXY")
     assert np.array_equal(exy.value, content["y"][:, 0]) and np.array_equal(exy.nodes, content["y_position"])
     assert summary(residual_errors(result.error_map, made))[-1].largest_after < 1e-12
+
+
+@pytest.mark.parametrize("corner", [(0.0, 0.0, 0.0), (0.1, 0.2, 0.3), (-0.06, -0.03, 0.25)])
+def test_step_diagonal_profiles_hold_no_lever_arm_twice(corner: tuple[float, float, float]) -> None:
+    """They are of edges of the volume, where the angles act, too."""
+    plan = DiagonalPlan(orders=("xyz", "yzx", "zxy"), repeats=1, corner=corner)
+    result = identify(simulate(SimulationSpec(plan=plan, seed=3)).session, model="angular")
+    tables = axis_tables(result)
+    for axis in range(3):
+        edge = np.array(corner) + np.linspace(0.0, 0.12, 5)[:, None] * np.eye(3)[axis]
+        own = result.error_map.content["xyz"[axis]]
+        nodes = result.error_map.content[f"{'xyz'[axis]}_position"]
+        expected = np.column_stack([np.interp(edge[:, axis], nodes, own[:, j]) for j in range(3)])
+        found = tables.field(edge)
+        np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-10)
 
 
 def test_an_incomplete_table_is_left_out(plane: Result) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rotary axis's positioning error in controllers' files: against what the axis truly did."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export.compensation import compensation
-from machine_tool_calibration.export.rotary import RotaryTables
+from machine_tool_calibration.export.rotary import RotaryTables, write
+from machine_tool_calibration.methods.axis_tables import AxisTable
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.simulation import RotaryPlan, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, RotaryPlan, SimulationSpec, simulate
 from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Flaw
 
 SIZE, HALF = 6e-5, 2e-5
@@ -69,3 +71,31 @@ def test_little_is_left_of_an_axis_with_this_error_alone(form: str) -> None:
 def test_other_formats_say_that_they_hold_none() -> None:
     with pytest.raises(ModelError, match="no table of a rotary axis is known of the format fanuc; linuxcnc, "):
         compensation(turned("C", -1), "r").exported("fanuc")
+
+
+def test_a_control_that_repeats_the_table_gets_one_turn() -> None:
+    angles = np.radians(np.arange(-20.0, 381.0, 20.0))
+    tables = replace(
+        compensation(turned("C", -1), "r").tables,
+        tables=(AxisTable("ECC", angles, 1e-5 * np.sin(angles), 0.0 * angles),),
+    )
+    assert isinstance(tables, RotaryTables)
+    (text,) = write("siemens", tables, "r").values()
+    for name, value in (("MIN", -20.0), ("MAX", 340.0), ("IS_MODULO", 1.0)):
+        (found,) = [line.split("=")[1] for line in text.splitlines() if line.startswith(f"$AA_ENC_COMP_{name}[0,C1]")]
+        assert float(found) == value
+
+
+def test_what_no_table_takes_is_named_and_not_said_to_be_in_the_errors() -> None:
+    session = simulate(SimulationSpec(plan=RotaryPlan(), seed=4)).session
+    made = compensation(identify(session, effects=["table_thermal_growth"]), "r").exported("csv")
+    assert "table_thermal_growth" not in made.absent
+    assert any("nor in the errors before and after: table_thermal_growth" in remark for remark in made.remarks)
+
+
+def test_a_part_on_a_table_is_no_rotary_axis() -> None:
+    """Its map has a table of C, too: the files hold those of X and Y."""
+    result = identify(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5)).session)
+    made = compensation(result, "r")
+    names = {table.name for table in made.tables.tables}
+    assert not isinstance(made.tables, RotaryTables) and {"EXX", "EYX", "EXY", "EYY"} <= names

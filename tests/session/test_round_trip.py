@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
+from machine_tool_calibration.simulation import SimulationSpec, simulate
+from machine_tool_calibration.simulation.spec import PLANS
 
 DATA = Path(__file__).parents[1] / "data"
 NAMES = ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross")
@@ -109,6 +112,14 @@ def test_numbers_without_a_point_and_ids_like_numbers(session_folder) -> None:
     assert session.setup_ids == tuple(ids)
     assert session.readings.setup.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
     assert session.sigma == 1e-6
+
+
+def test_times_since_an_epoch_count_from_the_first_reading(tmp_path: Path) -> None:
+    session = simulate(SimulationSpec(plan=PLANS["tracking_interferometer"](), seed=3)).session
+    time = session.readings.columns["time"]
+    late = replace(session.readings, columns={**session.readings.columns, "time": time + 1.7e9})
+    write_session(session.with_readings(late), tmp_path / "late")
+    np.testing.assert_allclose(read_session(tmp_path / "late").readings.columns["time"], time - time[0], atol=1e-6)
 
 
 def test_an_existing_session_is_not_overwritten(tmp_path: Path) -> None:

@@ -56,6 +56,14 @@ def test_the_hash_is_that_of_the_result_and_of_the_texts(measured: tuple[Session
         _ = replace(entry, readings=entry.readings.replace("1", "2", 1)).session
 
 
+def test_moments_in_several_time_zones_are_in_their_order(measured: tuple[Session, Entry], tmp_path: Path) -> None:
+    book = Logbook(tmp_path / "mill.logbook")
+    dates = ("2026-05-05T01:00:00+02:00", "2026-05-04T23:30:00-08:00", "2026-05-05T00:00:00", "2026-05-04")
+    for k, date in enumerate(dates):
+        book.add(replace(measured[1], date=date, sha256=f"{k:064d}"))
+    assert [entry.date for entry in book.entries()] == [dates[k] for k in (3, 0, 2, 1)]
+
+
 def test_the_same_session_again_changes_nothing(measured: tuple[Session, Entry], tmp_path: Path) -> None:
     _, entry = measured
     book = Logbook(tmp_path / "mill.logbook")

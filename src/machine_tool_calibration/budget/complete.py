@@ -14,7 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
-from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR, Quantity
+from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.diagnose import diagnose as look_for_effects
@@ -98,7 +98,8 @@ def completed_steps(done: Improvement, contributors: Sequence[Contributor], seed
 def completed(result: Either, budget: Budget) -> Either:
     """The same with half the expanded uncertainty for 95.45 %, by its budget, for every standard uncertainty."""
     more = _added(budget)
-    content = _content(result.error_map.content, more, budget.numbers.by_name)
+    before = {name: budget.numbers.u[q.members] for name, q in budget.numbers.by_name.items()}
+    content = _content(result.error_map.content, more, before)
     own = more.get(POSITION_ERROR)
     found = result.error_map
     if own is not None and own.size == found.uncertainty.size:
@@ -129,13 +130,13 @@ def _grown(u: Any, square: Array) -> Array:
 
 
 def _content(
-    content: Mapping[str, Any], more: Mapping[str, Array], known: Mapping[str, Quantity], name: str = ""
+    content: Mapping[str, Any], more: Mapping[str, Array], before: Mapping[str, Array], name: str = ""
 ) -> dict[str, Any]:
-    """What a map holds with its `name_u` grown, by the names of `published.everything`."""
+    """What a map holds with its `name_u` grown from those `before`, by the names of `published.everything`."""
     out = dict(content)
     for key, value in content.items():
         if isinstance(value, Mapping):
-            out[key] = _content(value, more, known, key)
+            out[key] = _content(value, more, before, key)
         shown, u = name if key == "value" else key, content.get(f"{key}_u")
         square = more.get(shown)
         if u is not None and square is not None and np.size(u) == square.size:
@@ -147,6 +148,8 @@ def _content(
         out["iso230_6"] = of_diagonals([_run(run, more, DIAGONAL_FIGURES) for run in content["iso230_6"]["runs"]])
     if "iso230_7" in content:
         out["iso230_7"] = [_range(one, more) for one in content["iso230_7"]]
+    if "figures" in content:
+        out["figures"] = [_of_cause(one, more, before) for one in content["figures"]]
     return out
 
 
@@ -159,6 +162,13 @@ def _run(run: Mapping[str, Any], more: Mapping[str, Array], figures: Mapping[str
         if square is not None and run.get(f"{figure}_U") is not None:
             out[f"{figure}_U"] = float(K * _grown(run[f"{figure}_U"] / K, square[0]))
     return out
+
+
+def _of_cause(one: Mapping[str, Any], more: Mapping[str, Array], before: Mapping[str, Array]) -> dict[str, Any]:
+    """What a cause of one unknown adds to a figure of ISO 230-4: known as well as the unknown is."""
+    cause = str(one["name"]).removeprefix("G_b of ")
+    u = before.get(cause, np.zeros(0))
+    return {**one, "U": one["U"] * float(_grown(u, more[cause])[0] / u[0])} if u.size == 1 and u[0] > 0.0 else dict(one)
 
 
 def _range(one: Mapping[str, Any], more: Mapping[str, Array]) -> dict[str, Any]:

@@ -196,7 +196,11 @@ class _Conformity:
             return self.motion(name)
         base = figure_of(name) or name
         if base in FIGURES or base in DIAGONAL_FIGURES:
-            own = [q for q in known.values() if q.name == name or (name == base and figure_of(q.name) == base)]
+            own = [
+                q
+                for q in known.values()
+                if f"{q.name}.".startswith(f"{name}.") or (name == base and figure_of(q.name) == base)
+            ]
             return [self.of(q, None, signed=base == "B_mean") for q in own]
         allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, *DIAGONAL_FIGURES, VOLUMETRIC]
         raise ModelError(

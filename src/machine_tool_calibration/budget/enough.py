@@ -81,7 +81,8 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
     """What the readings of one session tell, of which so many coordinates of the map are `wanted`."""
     session = chosen.sessions[0]
     readings, time = session.readings, session.readings.columns.get("time")
-    seconds = None if time is None else float(np.ptp(time))
+    known = np.zeros(0) if time is None else time[np.isfinite(time)]
+    seconds = float(np.ptp(known)) if len(known) else None
     found = Reached(session.setup_ids[int(readings.setup[-1])], len(readings), seconds)
     try:
         if until.u is not None:

@@ -217,7 +217,7 @@ def _content(content: Mapping[str, Any], nodes: Any = None, name: str = "") -> I
         # What is not determined as a whole is None.
         number, u = (np.asarray(content[k], dtype=np.float64).reshape(-1) for k in (key, f"{key}_u"))
         shown = name if key == "value" else key
-        at = content.get("c") if nodes is None and shown in ERROR_MOTIONS else nodes
+        at = content.get(shown[2].lower()) if nodes is None and shown in ERROR_MOTIONS else nodes
         shape = np.shape(value)
         where = partial(_at, shown, at, shape[1] if len(shape) > 1 else 1) if len(number) > 1 else _nowhere
         yield _Entry(shown, unit_of(shown), number, u, where, _positions(at, len(number)))

@@ -39,7 +39,7 @@ _LEAST_LEFT = 0.5
 _LEAST_SENSITIVITY = 5e-7
 # Products of readings and values of a label beyond which these are not distinguished.
 _MOST_COMPARED = 2e7
-_POSITIONS = ("x", "y", "z", "c")
+_POSITIONS = ("x", "y", "z", "a", "b", "c")
 _WORST = 10
 _PART = [
     "name", "readings", "rms", "reduced_chi_square", "share", "mean", "mean_u", "slope", "slope_u", "worst_row",

@@ -161,8 +161,8 @@ def axis_unit(axis: str) -> Array:
 
 
 def table_axis(observations: Observations) -> str:
-    """Letter of the rotary axis that carries targets or workpiece: the one under test, C where none is named."""
-    return (observations.session.description.machine.axis or "C").upper()
+    """Letter of the rotary axis that carries targets or workpiece."""
+    return observations.session.description.machine.table_axis
 
 
 def axis_direction(axis: str) -> Array:

@@ -158,7 +158,7 @@ class Compensation:
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
     """What can be compensated of the errors that were identified; `source` is its name in the files' heads."""
     effects, complete = find_effects(result.effects, own), result.variance_added is not None
-    if (turned := rotary_tables(result)) is not None:
+    if (turned := rotary_tables(result, effects)) is not None:
         own_states = turned.states(result.error_map, effects)
         return Compensation(turned, own_states, source, result.provenance, complete)
     states = error_states(result.error_map, result.joint.fits, effects)

@@ -23,6 +23,7 @@ from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap, Result
+from machine_tool_calibration.session.catalogue import spec_of
 
 # Longest step between angles that a turn may have where it is closed, over the usual one.
 _CLOSED = 1.5
@@ -37,6 +38,7 @@ class RotaryTables(AxisTables):
 
     sign: int = 1  # sense in which the axis commanded positive turns, about its direction
     angle: Array | None = None  # (n,) commanded angle of the axis at each point of the map, rad
+    others: tuple[str, ...] = ()  # what displaces the targets, and no table of an axis's positioning takes
 
     @property
     def table(self) -> AxisTable:
@@ -56,8 +58,8 @@ class RotaryTables(AxisTables):
         return np.asarray(self.sign * turned[:, None] * np.cross(axis_direction(self.table.axis), points))
 
     def states(self, error_map: ErrorMap, effects: Sequence[Effect]) -> ErrorStates:
-        """The map, with a backlash once for each sense of the axis; what other effects do there is not in it."""
-        names = tuple(effect.id for effect in effects if effect.kind == "position")
+        """The map, with a backlash once for each sense of the axis; what `others` do there is not in it."""
+        names = tuple(effect.id for effect in effects if effect.kind == "position" and effect.id not in self.others)
         sense = (1.0, -1.0) if self.backlash else (0.0,)
         points = np.tile(error_map.points, (len(sense), 1))
         moved = np.zeros_like(points)
@@ -73,17 +75,17 @@ class RotaryTables(AxisTables):
         return ErrorStates(whole, moved, names)
 
 
-def rotary_tables(result: Result | JointResult) -> RotaryTables | None:
+def rotary_tables(result: Result | JointResult, effects: Sequence[Effect] = ()) -> RotaryTables | None:
     """The positioning error of a rotary axis that was measured by itself; None where none was.
 
+    Of the effects in the model it takes the axis's backlash.
     A ModelError: it is not determined at every angle.
     """
-    content = result.error_map.content
-    axis = next((a for a in "ABC" if a.lower() in content and f"E{a}{a}" in content), None)
-    if axis is None or isinstance(result, JointResult):
+    if isinstance(result, JointResult) or not spec_of(result.fit.model.observations.session).turns_one_axis:
         return None
-    observations = result.fit.model.observations
-    session, nodes = observations.session, np.asarray(content[axis.lower()], dtype=float)
+    content, session = result.error_map.content, result.fit.model.observations.session
+    axis = session.description.machine.table_axis
+    nodes = np.asarray(content[axis.lower()], dtype=float)
     value, u = (np.asarray(content[f"E{axis}{axis}{end}"], dtype=float) for end in ("", "_u"))
     lost = int(np.count_nonzero(~np.isfinite(value)))
     if lost or len(nodes) < 2:
@@ -92,7 +94,8 @@ def rotary_tables(result: Result | JointResult) -> RotaryTables | None:
         )
     sign = session.rotation_sign
     value = sign * (value - value[np.argmin(np.abs(nodes))])
-    b = next((e for e in result.parameters if e.name == f"backlash_{axis.lower()}.b"), None)
+    backlash = f"backlash_{axis.lower()}"
+    b = next((e for e in result.parameters if e.name == f"{backlash}.b"), None)
     return RotaryTables(
         chain=session.description.machine.kinematics,
         tables=(AxisTable(f"E{axis}{axis}", nodes, value, u),),
@@ -104,6 +107,7 @@ def rotary_tables(result: Result | JointResult) -> RotaryTables | None:
         model=result.model_name + (f" with {', '.join(result.effects)}" if result.effects else ""),
         sign=sign,
         angle=np.repeat(nodes, len(result.error_map.points) // len(nodes)),
+        others=tuple(effect.id for effect in effects if effect.kind == "position" and effect.id != backlash),
     )
 
 
@@ -151,8 +155,10 @@ def _linuxcnc(tables: RotaryTables, lines: Sequence[str], kind: Literal[0, 1]) -
 
 
 def _siemens(tables: RotaryTables, lines: Sequence[str]) -> dict[str, str]:
-    nodes, value = siemens.evenly(*_whole(tables.table))
+    nodes, value = _whole(tables.table)
     whole_turn = bool(nodes[-1] - nodes[0] > 2.0 * np.pi - 1e-6)
+    once = nodes < nodes[0] + 2.0 * np.pi + 1e-6  # beyond a turn the control repeats the table
+    nodes, value = siemens.evenly(nodes[once], value[once])
     own = siemens.screw(tables.table.axis, nodes, value, _DEGREES, digits=7, modulo=whole_turn)
     return {siemens.SCREW: siemens.init_file("AX_EEC", [*lines, *remarks("siemens", tables)], [own])}
 
@@ -169,6 +175,8 @@ _WRITERS: Mapping[str, Callable[[RotaryTables, Sequence[str]], dict[str, str]]] 
 def remarks(form: str, tables: RotaryTables) -> list[str]:
     """What whoever loads the files would find otherwise."""
     axis, out = tables.table.axis, list[str]()
+    if tables.others:
+        out.append(f"neither in these files nor in the errors before and after: {', '.join(tables.others)}")
     if form.startswith("linuxcnc"):
         out += [
             f"joint {linuxcnc.JOINTS[axis]} must be {axis} and ANGULAR; change the section if yours differs",

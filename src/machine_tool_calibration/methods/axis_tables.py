@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,7 +140,8 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
     left_out = [entry for entry in result.not_determined if entry.name.startswith(named)]
     squareness: dict[str, tuple[float, float]] = {}
     if "x_position" in result.error_map.content:
-        found, words = _profiles(result.error_map.content, left_out), _IN_PROFILES
+        content, chain = result.error_map.content, sessions[0].description.machine.kinematics
+        found, words = _without_levers(_profiles(content, left_out), chain, content), _IN_PROFILES
     else:
         found, squareness = _terms(result.parameters, tables, left_out)
         words = _OWN_SLOPE
@@ -193,6 +194,24 @@ def _profiles(content: Mapping[str, Any], left_out: list[NotDetermined]) -> list
                 table = AxisTable(f"E{component}{letter.upper()}", content[f"{letter}_position"], value, u)
                 _take(table, found, left_out)
     return found
+
+
+def _without_levers(found: Sequence[AxisTable], chain: Chain, content: Mapping[str, Any]) -> list[AxisTable]:
+    """Profiles are of the edges through the first block positions, where angles act by their lever arms, too."""
+    turns = [table for table in found if table.name[1] in "ABC"]
+    corner = np.array([content[f"{axis}_position"][0] for axis in "xyz"])
+    out = []
+    for table in found:
+        if turns and table.name[1] in "XYZ":
+            edge = np.where(np.arange(3) == "XYZ".index(table.axis), table.nodes[:, None], corner)
+            lever = np.zeros(len(edge))
+            for turn in turns:
+                angle = np.interp(edge[:, "XYZ".index(turn.axis)], turn.nodes, turn.value)
+                field = error_motions.motion_field(chain, error_motions.parse_motion(turn.name), edge)
+                lever += angle * field[:, "XYZ".index(table.name[1])]
+            table = replace(table, value=table.value - (lever - lever[0]))
+        out.append(table)
+    return out
 
 
 def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined]) -> None:

@@ -48,9 +48,8 @@ def imperfection(observations: Observations) -> Array:
 
 
 def _angles(observations: Observations) -> list[Array]:
-    angles = []
-    if "c" in observations.readings.columns:
-        angles.append(observations.readings.columns["c"])
+    columns = observations.readings.columns
+    angles = [columns[axis] for axis in "abc" if axis in columns]
     spec = spec_of(observations.session)
     if spec.beam_from_pointer:
         angles.append(np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))

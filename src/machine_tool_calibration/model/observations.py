@@ -71,8 +71,8 @@ class Observations:
     def place(self) -> IntArray:
         """(n,) index shared by readings that repeat each other: same setup, place, target and direction of approach."""
         readings = self.readings
-        keys = [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
-        keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
+        keys = [np.round(readings.columns[a] * 1e9) for a in "xyzabc" if a in readings.columns]
+        keys += [readings.columns[f"dir_{a}"] for a in "xyzabc" if f"dir_{a}" in readings.columns]
         if spec_of(self.session).reads_machine:
             # Deviations of one hole along x and along y do not repeat each other.
             keys += list(np.round(self.direction.T * 1e6))

@@ -163,7 +163,7 @@ def _both_ways(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     if not spec_of(session).turns_one_axis:
         return None
     group = _runs(session, rows)
-    axis = next(a for a in "cab" if a in session.readings.columns)
+    axis = session.description.machine.table_axis.lower()
     angle = np.round(session.readings.columns[axis][rows], 6)
     runs = [np.flatnonzero(group == g) for g in dict.fromkeys(group.tolist())]
     if any(len(np.unique(angle[run])) < len(run) for run in runs):

@@ -105,7 +105,7 @@ def residuals_before_and_after(improvement: Improvement) -> pd.DataFrame:
     tables = []
     for name, before, after in zip(first.assembly.labels or ("",), first.fits, last.fits, strict=True):
         whole, left = residual_table(before), residual_table(after).set_index("row")["residual"]
-        kept = whole[[column for column in ("row", "setup", "repeat", "time", *"xyzc") if column in whole]]
+        kept = whole[[column for column in ("row", "setup", "repeat", "time", *"xyzabc") if column in whole]]
         table = kept.assign(residual_before=whole["residual"], residual_after=whole["row"].map(left))
         tables.append(table.assign(session=name)[["session", *table]] if name else table)
     return pd.concat(tables, ignore_index=True)

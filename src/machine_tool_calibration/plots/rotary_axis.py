@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name, the first one first to be looked at."""
     description = session.description.as_a(RotaryAxis)
-    axis = (description.machine.axis or "C").upper()
+    axis = description.machine.table_axis
     content = result["error_map"]
     return {"error_motions": draw_motions(content, axis), "arrangement": _draw_arrangement(content, axis)}
 

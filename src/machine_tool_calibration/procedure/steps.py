@@ -119,7 +119,7 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
     """Station by station, repetition by repetition: all angles target by target, or all targets angle by angle."""
     session = procedure.session
     assert isinstance(session, RotaryAxis)
-    axis = (session.machine.axis or "C").lower()
+    axis = session.machine.table_axis.lower()
     forth = targets_of(procedure)
     if any(set(place) != {axis} for place in forth):
         raise SessionError(f"procedure {procedure.name}: path of a rotary axis names {axis} and nothing else")
@@ -211,7 +211,7 @@ def _aim(procedure: Procedure, position: Mapping[str, float], target: int | None
     """The commanded target in the machine frame."""
     session = procedure.session
     if isinstance(session, RotaryAxis) and target is not None:
-        axis = session.machine.axis or "C"
+        axis = session.machine.table_axis
         sign = session.rotation_sign or session.machine.rotation_sign or 1
         angle, place = sign * position[axis.lower()], list(session.targets[target].position)
         i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))

@@ -52,7 +52,7 @@ def _places(result: Result) -> dict[str, Any]:
     if "x_position" in content:
         return {"axis": np.repeat(list("xyz"), [len(content[axis]) for axis in "xyz"])}
     if spec_of(session).turns_one_axis:
-        axis = (session.description.machine.axis or "C").lower()
+        axis = session.description.machine.table_axis.lower()
         targets = content["target_ids"]
         return {"target": targets * len(content[axis]), axis: np.repeat(content[axis], len(targets))}
     points, approach = result.error_map.points, content.get("approach")
@@ -84,7 +84,7 @@ def _single(result: Result) -> Iterator[_Value]:
     if "tables" in content:
         yield from _tables(content["tables"])
     elif spec_of(session).turns_one_axis:
-        axis = (session.description.machine.axis or "C").upper()
+        axis = session.description.machine.table_axis
         for name in (f"E{component}{axis}" for component in "XYZABC"):
             yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
     elif "x_position" in content:

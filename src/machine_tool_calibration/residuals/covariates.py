@@ -9,7 +9,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
-_AXES = "xyzc"
+_AXES = "xyzabc"
 _LEAST_SENSITIVITY = 1e-6  # m/m (C: m/rad)
 _BINS = 8
 
@@ -41,10 +41,11 @@ def covariates(observations: Observations) -> dict[str, Array]:
 
 
 def sensed(observations: Observations, axis: str) -> Array:
-    """(n,) change of each reading with a displacement of x, y or z, 1, or with a turn of c, m/rad."""
+    """(n,) change of each reading with a displacement of x, y or z, 1, or with a turn of a, b or c, m/rad."""
     if axis in "xyz":
         return observations.direction[:, "xyz".index(axis)]
-    turned = np.cross([0.0, 0.0, float(observations.session.rotation_sign)], observations.position)
+    about = float(observations.session.rotation_sign) * np.eye(3)["abc".index(axis)]
+    turned = np.cross(about, observations.position)
     return np.asarray(np.einsum("nj,nj->n", turned, observations.table_direction))
 
 

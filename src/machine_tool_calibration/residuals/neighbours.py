@@ -10,7 +10,7 @@ from machine_tool_calibration.session.session import Readings
 
 def same_place(readings: Readings, *, any_setup: bool = False) -> IntArray:
     """(n,) index shared by readings that repeat each other, however approached (and mounted, or from which side)."""
-    places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
+    places = [np.round(readings.columns[a] * 1e9) for a in "xyzabc" if a in readings.columns]
     senses = np.array([readings.columns[a] for a in ("gx", "gy", "gz") if a in readings.columns])
     if any_setup and len(senses):
         senses = unsigned(senses.T).T

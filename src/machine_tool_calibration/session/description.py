@@ -41,8 +41,7 @@ class Place:
 
 def rotary_column(description: RotaryAxis) -> str:
     """The column of the rotary axis under test: the one that the machine names, else the chain's, else `c`."""
-    rotary = Chain.parse(description.machine.chain).rotary
-    return (description.machine.axis or (rotary[0] if len(rotary) == 1 else "C")).lower()
+    return description.machine.table_axis.lower()
 
 
 def _check_about(value: Any, where: str = "about") -> Any:
@@ -74,6 +73,12 @@ class Machine(Record):
     # from the point to which the axes' positions refer (where the lever arms of the axes' angular errors end if
     # nothing is said) to the functional point, x, y, z, m
     tool_offset: Vector3 | None = None
+
+    @property
+    def table_axis(self) -> str:
+        """Letter of the rotary axis under test, or that carries the workpiece: the one named, the chain's, else C."""
+        rotary = Chain.parse(self.chain).rotary
+        return (self.axis or (rotary[0] if len(rotary) == 1 else "C")).upper()
 
     @property
     def kinematics(self) -> Chain:

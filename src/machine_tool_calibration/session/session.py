@@ -192,6 +192,10 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     return np.unique(place, return_index=True)[1], place
 
 
+# Times that begin later, s, count from an epoch: no session lasts twelve days before its first reading.
+_SINCE_AN_EPOCH = 1e6
+
+
 def assemble(
     description: Description, numbers: Mapping[str, Array], labels: Mapping[str, np.ndarray], place: Place
 ) -> Readings:
@@ -210,6 +214,10 @@ def assemble(
     bad = first_true(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
     if bad is not None:
         raise SessionError(f"{place.row(bad)}: repeat is {repeat[bad]:g}, not 0, 1, 2 …")
+    time = columns.get("time", np.zeros(0))
+    first = float(time[np.isfinite(time)].min(initial=np.inf))
+    if _SINCE_AN_EPOCH < first < np.inf:  # beside it what changes within a session would be lost in rounding
+        columns["time"] = time - first
     return Readings(
         setup=setup,
         repeat=repeat.astype(np.int64),

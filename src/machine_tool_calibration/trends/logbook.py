@@ -80,6 +80,12 @@ class Entry:
     description: str  # text of `session.yaml`
     readings: str  # text of `observations.csv`
 
+    @property
+    def moment(self) -> datetime.datetime:
+        """When it was measured: UTC where no time zone is said."""
+        moment = datetime.datetime.fromisoformat(self.date)
+        return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+
     @cached_property
     def session(self) -> Session:
         """The measurement, read again from what was entered.
@@ -210,7 +216,7 @@ class Logbook:
         if not self.path.exists():
             raise CalibrationError(f"{self.path}: no such logbook; `mtcal logbook add {self.path} SESSION` begins one")
         with self._open() as database:
-            found = self._select(database, "ORDER BY date, number")
+            found = sorted(self._select(database, "ORDER BY number"), key=lambda entry: entry.moment)
         if machine is None:
             return tuple(found)
         known = list(dict.fromkeys(entry.machine for entry in found))

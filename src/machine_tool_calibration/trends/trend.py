@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sizes of a machine's errors over time: what jumped, drifts, was read by another sensor, or is beyond a limit."""
 
-import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -294,7 +293,7 @@ def _ways(entries: Sequence[Entry]) -> list[str]:
 
 def _course(name: str, entries: Sequence[Entry], ways: Sequence[str], among: int, limit: float | None) -> Course:
     rows = [(e, w, s) for e, w in zip(entries, ways, strict=True) for s in e.sizes if s.name == name]
-    moments = [datetime.datetime.fromisoformat(entry.date).replace(tzinfo=None) for entry, _, _ in rows]
+    moments = [entry.moment for entry, _, _ in rows]
     days = np.array([(moment - moments[0]).total_seconds() / _DAY for moment in moments])
     value, u = np.array([size.value for _, _, size in rows]), np.array([size.u for _, _, size in rows])
     listed = list(dict.fromkeys(way for _, way, _ in rows))

@@ -150,8 +150,9 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
     if max(int(part.max(initial=0)) for part in setups) >= 2:
         yield say("head.setups"), [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
     position = np.concatenate([s.readings.position() for s in sessions])
-    angles = [s.readings.columns.get("c") for s in sessions]
-    place = _zones(position, angles[0] if len(sessions) == 1 else None)
+    columns = sessions[0].readings.columns
+    angle = next((columns[axis] for axis in "abc" if axis in columns), None)
+    place = _zones(position, angle if len(sessions) == 1 else None)
     if place is not None:
         yield _BY_PLACES, np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
     cycles = [groups(s.readings.repeat) for s in sessions]

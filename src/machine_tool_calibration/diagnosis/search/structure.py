@@ -23,9 +23,9 @@ from machine_tool_calibration.words import Said, named, say, together
 
 _DEGREE = 4
 _ORDERS = (1, 2, 3, 4, 5)
-_SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
+_SIGNS = ("dir_x", "dir_y", "dir_z", "dir_a", "dir_b", "dir_c")
 _AIR = "temperature_air"
-_ANGLES = ("c", "azimuth", "elevation", "normal")
+_ANGLES = ("a", "b", "c", "azimuth", "elevation", "normal")
 # Setups whose slopes are tried one by one.
 _MOST_SETUPS = 12
 # Places whose reversal is tried one by one: of more, neighbours have much in common.
@@ -352,7 +352,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
         if not spec_of(observations.session).reads_deviations:
             # As the places say it, so that the noise of a reading does not explain itself.
             off = np.bincount(observations.run, observations.readings.displacement - observations.path)
-            out["displacement"] = observations.path + (off / np.bincount(observations.run))[observations.run]
+            out["displacement"] = (
+                observations.path + (off / np.maximum(np.bincount(observations.run), 1))[observations.run]
+            )
     return out
 
 

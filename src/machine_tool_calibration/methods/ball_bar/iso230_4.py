@@ -123,7 +123,9 @@ def _figures(paths: Mapping[str, _Path], both: Array, length_u: float | None) ->
         for name, at in (("F_max", int(np.argmax(radial))), ("F_min", int(np.argmin(radial)))):
             yield f"{name}_{way}", float(radial[at]), K * float(np.hypot(path.u[at], length_u))
     if len(paths) == 2:
-        yield "D", float(both[2]), K * length_u
+        angle, u = (np.concatenate([getattr(path, name) for path in paths.values()]) for name in ("angle", "u"))
+        noise = float(np.linalg.norm(np.linalg.pinv(_columns(angle))[2] * u))
+        yield "D", float(both[2]), K * float(np.hypot(noise, length_u))
 
 
 def _range(deviation: Array, u: Array) -> tuple[float, float]:
