@@ -273,7 +273,7 @@ class _Sizes:
 
     def along(self, place: tuple[int, ...], axis: int) -> list[tuple[int, ...]]:
         """Places along one lattice, which ends where it has no evidence left."""
-        line = [_with(place, axis, k) for k in range(self.first[axis])]
+        line = [_with(place, axis, k) for k in range(max(self.first[axis], place[axis] + 1))]
         while len(line) < len(self.values[axis]) and self.log(line[-1]) > max(map(self.log, line)) + np.log(_EDGE):
             line.append(_with(place, axis, len(line)))
         return line
@@ -288,7 +288,7 @@ def marginal_at(gram: Gram, ratio: ArrayLike, log_prior: ArrayLike = 0.0) -> Mar
     ratio, several = np.asarray(ratio, dtype=np.float64), np.shape(ratio)[:-1]
     nothing = np.zeros((*several, 0, len(gram.inner)))
     log_prior = np.broadcast_to(np.asarray(log_prior, dtype=np.float64), several)
-    plain = Marginal(gram, ratio, log_prior, nothing, nothing[..., 0])
+    plain = Marginal(gram, ratio, log_prior, nothing, np.zeros((*several, 0)))
     used = np.flatnonzero(np.atleast_2d(plain.tau).any(axis=0))
     return plain.with_columns(gram.spread[used], plain.tau[..., used])
 

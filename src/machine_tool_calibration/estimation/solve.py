@@ -100,6 +100,8 @@ _LEAST_DAMPING = 1e-10
 _NO_DAMPING = 1e-16
 _MOST_DAMPING = 1e3
 _HARDER, _SOFTER = 100.0, 10.0
+# Least share of a damped step that is tried.
+_LEAST_SHARE = 1e-3
 # Damped steps that gain less than this so often in a row end the iteration: what is left is a motion that readings
 # hardly sense, by a tenth of its own uncertainty.
 _LITTLE = 1e-2
@@ -144,8 +146,13 @@ class Linearised:
 
     @property
     def cost(self) -> float:
-        """Weighted sum of squared residuals."""
+        """Weighted sum of squared residuals, with the points where their own step would lead."""
         return float(self.total[-1, -1])
+
+    @property
+    def whole(self) -> float:
+        """The same with the points where they are."""
+        return self.cost + self.unsettled
 
     def normal(self, damping: float = 0.0) -> Normal:
         """Solution of the normal equations, damped as by Levenberg and Marquardt."""
@@ -165,15 +172,16 @@ class Linearised:
             sizes[index] = sizes[index].max(initial=0.0)
         return sizes
 
-    def after(self, step: Array) -> tuple[Array, list[Array], list[BoolArray]]:
-        """Unknowns after a step of the shared ones, and which unknowns of points are determined."""
+    def after(self, step: Array, share: float = 1.0) -> tuple[Array, list[Array], list[BoolArray]]:
+        """Unknowns after a share of a step of the shared ones, and which unknowns of points are determined."""
         moved, determined = list(self.local), []
         for i, part in enumerate(self.problem.parts):
             good = np.ones((part.dimension, part.n_points), dtype=bool)
             if part.dimension:
-                moved[i], good = _step_points(part, self.theta, self.local[i], step)
+                whole, good = _step_points(part, self.theta, self.local[i], step)
+                moved[i] = whole if share == 1.0 else self.local[i] + share * (whole - self.local[i])
             determined.append(good)
-        return self.theta + step, moved, determined
+        return self.theta + share * step, moved, determined
 
     def solution(
         self, step: Normal, moved: tuple[Array, list[Array], list[BoolArray]], normal: Normal, count: int
@@ -210,20 +218,22 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
     normal = base.normal()
     moved = base.after(normal.step)
     base = Linearised.at(problem, moved[0], moved[1])
-    damping, little = 0.0, 0
+    damping, little, share = 0.0, 0, 1.0
     for count in range(2, _MAX_STEPS + 1):
         normal = base.normal(damping)
-        moved = base.after(normal.step)
+        moved = base.after(normal.step, share)
         if normal.gain < _GAIN and base.unsettled < _GAIN + 1e-9 * base.cost and not damping:
             return base.solution(normal, moved, normal, count)
         trial = Linearised.at(problem, moved[0], moved[1])
-        if not trial.cost <= base.cost + _GAIN + 1e-9 * base.cost:
-            damping = max(_HARDER * damping, _LEAST_DAMPING)
-            if damping > _MOST_DAMPING:
+        if not trial.whole <= base.whole + _GAIN + 1e-9 * base.cost:
+            # The points' own unknowns are not damped: where they go too far, the whole step is shortened.
+            share = share / 2.0 if damping else share
+            damping = min(max(_HARDER * damping, _LEAST_DAMPING), _MOST_DAMPING)
+            if share < _LEAST_SHARE:
                 break
             continue
-        little = little + 1 if damping and base.cost - trial.cost < _LITTLE else 0
-        base = trial
+        little = little + 1 if damping and base.whole - trial.whole < _LITTLE else 0
+        base, share = trial, min(2.0 * share, 1.0)
         damping = damping / _SOFTER if damping > _NO_DAMPING else 0.0
         if little >= _OFTEN:
             normal = base.normal(damping)

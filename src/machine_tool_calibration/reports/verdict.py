@@ -121,7 +121,10 @@ def _verdict(diagnosis: Diagnosis) -> Said:
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
         return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
-        return say("diagnosis.which_unknown", p=probability(1.0 - look.nothing))
+        something = 1.0 - look.nothing
+        if something < priors.ACCEPTED:  # by none of these causes, and by how much is left for sure
+            return say("diagnosis.misfit_alone")
+        return say("diagnosis.which_unknown", p=probability(something))
     if diagnosis.verdict == "unexplained":
         return say("diagnosis.unexplained")
     enough, scatters = good_enough(diagnosis), _scatters(diagnosis)
@@ -181,17 +184,19 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     return say("next.smaller", measure=best.measure)
 
 
-def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "scatter", "both", "places"]:
+def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter", "both", "places", "setups"]:
     """Where readings scatter more than declared: without repeats nobody knows what does; these do, places, or both."""
-    noise = diagnosis.noise
+    noise, observed = diagnosis.noise, Pool(diagnosis.search.fit).observations
     if noise.as_read is None and noise.from_repeats is None:
-        return "repeats"
+        return "few" if any(len(np.unique(one.place)) < len(one) for one in observed) else "repeats"
     chi_square = diagnosis.fits[-1].reduced_chi_square
 
     def by_repeats(share: float) -> bool:
         return any(noise.is_all(repeats, chi_square, share) for repeats in (noise.as_read, noise.from_repeats))
 
-    return "scatter" if by_repeats(priors.AS_NOISY) else "both" if by_repeats(_PARTLY) else "places"
+    if by_repeats(_PARTLY):
+        return "scatter" if by_repeats(priors.AS_NOISY) else "both"
+    return "places" if any(one.moves for one in observed) else "setups"
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:

@@ -188,6 +188,12 @@ class _Search:
             if len(more) == len(asked):
                 break
             asked = more
+        # What one saw as wrong beside others that are not is none.
+        for _ in range(ROUNDS):
+            kept = held[(np.abs(fit.predicted[held]) > fit.bulk.limit) | np.isin(held, list(alike))]
+            if len(kept) == len(held):
+                break
+            held, fit = kept, self._fit(kept)
         # Of those that are left as many must check the unknowns as were found wrong by them.
         return self._named(held, fit, alike) if fit.dof >= max(len(np.setdiff1d(held, list(alike))), 1) else []
 

@@ -50,6 +50,8 @@ def needed_rows(open_directions: Array, rows: Sequence[Array]) -> tuple[list[int
 
 
 _SHIFTS = ("shift_x", "shift_y", "shift_z")
+# Singular value over the largest from which a turn is told; and no part lies this far askew, rad.
+_TURN_IS_TOLD, _MOST_TURN = 1e-5, 0.1
 _TURNS = ("turn_a", "turn_b", "turn_c")
 
 
@@ -101,8 +103,15 @@ def _curvature(columns: Array, setup: IntArray, count: int, arm: Array, directio
         mine = setup == index
         if mine.sum() < 6:
             continue
+        own = columns[:, mine].T
+        size = np.linalg.norm(own, axis=0)
+        size = np.where(size > 0.0, size, 1.0)
         for _ in range(3):
-            motion = np.linalg.lstsq(columns[:, mine].T, reading[mine] - out[mine], rcond=1e-9)[0]
+            # A turn about where all directions meet is told by rounding alone.
+            motion = np.linalg.lstsq(own / size, reading[mine] - out[mine], rcond=_TURN_IS_TOLD)[0] / size
+            if np.linalg.norm(motion[3:]) > _MOST_TURN:
+                out[mine] = 0.0
+                break
             out[mine] = np.einsum("nj,nj->n", direction[mine], _second_order(motion[3:], arm[mine]))
     return out
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, groups, unit_vectors
+from machine_tool_calibration.arrays import Array, BoolArray, first_true, groups, unit_vectors
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import mistakes
 from machine_tool_calibration.session.checks.nominal_geometry import (
@@ -37,6 +37,7 @@ _SINGLE = 0.03
 _SAME_ERROR = 0.1
 # Zero of all azimuths beyond which the turn of the network is no longer small: its square is a micrometre on a metre.
 _ZERO = 1.5e-3
+_LEAST_REACH = 1e-4  # m, from a station to a target
 
 
 class TrackingSpec(MethodSpec):
@@ -80,6 +81,10 @@ class TrackingSpec(MethodSpec):
         enough_stations(session, description.setups, measured, place, needed=2, method=method)
         if description.dimension == 3:
             refuse_one_line(description.setups, place)
+        reach = np.linalg.norm(lines_of_sight(session, session.readings.position())[:, : description.dimension], axis=1)
+        if (at := first_true(measured & (reach < _LEAST_REACH))) is not None:
+            name = session.setup_ids[session.readings.setup[at]]
+            raise SessionError(f"{place.row(at)}: the target is where setup {name!r} stands: no beam leads there")
         _enough_targets(session, description.dimension, measured, place, method)
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
