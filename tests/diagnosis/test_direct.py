@@ -356,3 +356,11 @@ def test_what_explains_a_small_part_of_a_pattern_is_not_what_is_missing() -> Non
     assert any(found.search.of(name).probability > 0.9 for name in found.search.accepted)
     assert found.fits[0].reduced_chi_square > 50.0
     assert (found.verdict, found.accepted) == ("unexplained", ())
+
+
+def test_one_place_that_was_read_without_times_gets_an_answer() -> None:
+    """There is nothing that readings could depend on."""
+    read = 1e-5 * np.random.default_rng(3).normal(size=10)
+    columns = {"x": 0 * read, "y": 0 * read, "z": 0 * read, "gx": 0 * read + 1.0, "gy": 0 * read, "gz": 0 * read}
+    found = diagnose(plates.session({**columns, "displacement": read}, 6e-6, "none", ["EXX"]))
+    assert found.verdict == "adequate"

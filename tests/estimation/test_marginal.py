@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at, size_grid
 
 from ..inner_products import N, columns, gram_of, log_marginal
 
@@ -97,3 +97,19 @@ def test_folding_one_after_the_other_is_folding_both() -> None:
     together = marginal.with_columns(np.array([0, 2]), np.array([0.4, 1.1]))
     assert apart.log_null == pytest.approx(together.log_null)
     assert apart.data == pytest.approx(together.data)
+
+
+def test_sizes_far_from_the_first_ones_end_the_way_to_a_peak() -> None:
+    """Where the second size is there, the first is only found from where it is: the way does not lead in circles."""
+    gram, visited, far = Gram(np.zeros((2, 2)), np.zeros(2), 1.0, np.arange(2), 100), list[tuple[float, ...]](), 3e3
+
+    def log_evidence(ratio: tuple[float, ...], prior: float) -> float:
+        visited.append(ratio)
+        assert len(visited) < 10_000
+        first, second = ratio
+        if second == 0.0:
+            return 3.0 if first > far else float(first > 0.0)
+        return 5.0 if first > far else -1000.0 if first > 0.0 else -0.5
+
+    best = max(size_grid(gram, log_evidence), key=lambda one: one[2])
+    assert best[0][0] > far and best[0][1] > 0.0

@@ -251,3 +251,17 @@ def test_parts_that_bend_are_no_wave_of_the_order() -> None:
     setup = np.repeat(np.arange(8), 34)
     found = diagnose(plates.session(columns, 1e-7, "rigid", ("EXZ",), None, *"ABCDEFGH", setup=setup))
     assert (found.left[0].covariate, found.left[0].shape) == ("setup", say("shape.bends"))
+
+
+def test_targets_that_differ_are_said_to() -> None:
+    """Four in turn at each place, a text column naming them: neither time nor the axis."""
+    x = np.repeat(np.linspace(0.0, 0.6, 13), 4)
+    target = np.tile(np.arange(4), 13)
+    read = 1e-6 * np.array([0.0, 8.0, -5.0, 3.0])[target] + 1e-6 * np.random.default_rng(4).normal(size=len(x))
+    columns = {"x": x, "y": 0 * x, "z": 0 * x, "gx": 0 * x + 1.0, "gy": 0 * x, "gz": 0 * x, "displacement": read}
+    measured = plates.session({**columns, "time": 10.0 * np.arange(len(x))}, 1e-6, "offset", ["EXX"])
+    labels = {"target": np.array([f"T{k}" for k in target])}
+    found = diagnose(measured.with_readings(replace(measured.readings, labels=labels)))
+    assert found.verdict == "unexplained" and not found.accepted
+    assert found.search.structure[0].covariate == "column target"
+    assert found.search.structure[0].share > 0.8

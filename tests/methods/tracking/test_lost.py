@@ -9,11 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.estimation.problem import Problem, group_points
 from machine_tool_calibration.estimation.solve import solve
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.tracking.datum import MultilaterationPart
+from machine_tool_calibration.model.model import assemble
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import StandardUncertainty
 
 FIVE = ((-0.4, -0.3, -0.1), (0.8, -0.2, 0.0), (0.1, 0.9, -0.1), (0.3, 0.2, 1.1), (0.9, 0.9, 0.5))
@@ -343,3 +346,27 @@ def test_what_is_determined_does_not_depend_on_a_declaration_that_is_far_too_sma
         for one in (StandardUncertainty(displacement=factor * session.sigma) for factor in (10.0, 1.0))
     ]
     assert determined(known[0]).all() and determined(known[1]).all()
+
+
+def test_a_target_where_a_station_stands_is_named(simulated):
+    session = simulated(2, "tracking").session
+    setup = session.description.setups[1]
+    columns = session.readings.columns
+    row = int(np.flatnonzero(session.readings.setup == 1)[0])
+    place = (float(columns["x"][row]), float(columns["y"][row]), setup.position[2])
+    setups = tuple(s.model_copy(update={"position": place}) if s is setup else s for s in session.description.setups)
+    moved = replace(session, description=session.description.model_copy(update={"setups": setups}))
+    with pytest.raises(SessionError, match=f"the target is where setup '{setup.id}' stands"):
+        check_session(moved)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ranges_that_are_decimetres_off_converge(simulated, seed):
+    """As by radio: from where a whole step of the targets leads too far, a part of it does not."""
+    session = simulated(2, "tracking", seed=seed).session
+    noise = 0.25 * np.random.default_rng(seed).normal(size=len(session.readings))
+    readings = replace(session.readings, displacement=session.readings.displacement + noise)
+    said = {"standard_uncertainty": StandardUncertainty(displacement=0.25), "trust_units": True}
+    rough = replace(session, description=session.description.model_copy(update=said)).with_readings(readings)
+    solution = solve(assemble([build_model(rough)[0]]).problem)
+    assert solution.chi_square < 1.5 * solution.degrees_of_freedom

@@ -125,7 +125,7 @@ class _Outside:
 
 
 def _functions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    for functions in (_of_one, _products, _lost_motions, _slopes_of_setups):
+    for functions in (_of_one, _products, _lost_motions, _constants_of_texts, _slopes_of_setups):
         yield from functions(observations)
 
 
@@ -184,6 +184,18 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
                 if other == axis and len(places := _from_place_to_place(scaled, sign)):
                     yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
+
+
+def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
+    """Targets, tools or operators that differ, where a column names them."""
+    if not spec_of(observations.session).reads_machine:
+        return
+    directions = [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
+    for name, texts in observations.readings.labels.items():
+        each = np.unique(texts)
+        if 2 <= len(each) <= _MOST_SETUPS:
+            own = np.concatenate([(texts == each[:, None]) * d for d in directions])
+            yield say("shape.text_column", name=name), say("shape.constants"), own
 
 
 def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
