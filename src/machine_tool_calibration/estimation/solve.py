@@ -227,12 +227,14 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
         trial = Linearised.at(problem, moved[0], moved[1])
         if not trial.whole <= base.whole + _GAIN + 1e-9 * base.cost:
             # The points' own unknowns are not damped: where they go too far, the whole step is shortened.
-            share = share / 2.0 if damping else share
-            damping = min(max(_HARDER * damping, _LEAST_DAMPING), _MOST_DAMPING)
-            if share < _LEAST_SHARE:
+            pointed = base.unsettled > 0.0
+            share = share / 2.0 if damping and pointed else share
+            damping = max(_HARDER * damping, _LEAST_DAMPING)
+            if share < _LEAST_SHARE or (damping > _MOST_DAMPING and not pointed):
                 break
+            damping = min(damping, _MOST_DAMPING)
             continue
-        little = little + 1 if damping and base.whole - trial.whole < _LITTLE else 0
+        little = little + 1 if damping and share >= 0.5 and base.whole - trial.whole < _LITTLE else 0
         base, share = trial, min(2.0 * share, 1.0)
         damping = damping / _SOFTER if damping > _NO_DAMPING else 0.0
         if little >= _OFTEN:
