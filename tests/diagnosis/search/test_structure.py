@@ -186,11 +186,14 @@ def test_a_slow_wave_that_is_read_in_bursts_is_no_fast_one() -> None:
 
 
 def test_at_one_place_no_place_differs() -> None:
-    """Two targets at one place, which no column describes."""
+    """Two targets at one place; and twenty, too many to have a constant each."""
     columns = {key: np.zeros(40) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(40)}
     columns["displacement"] = np.tile([0.0, 5e-5], 20) + 1e-6 * np.random.default_rng(1).normal(size=40)
     session = plates.session(columns, 1e-6)
     session = session.with_readings(replace(session.readings, labels={"target": np.tile(["A", "B"], 20)}))
+    assert diagnose(session).left[0].covariate == "column target"
+    many = np.array([f"{'AB'[k % 2]}{k // 2 % 10}" for k in range(40)])
+    session = session.with_readings(replace(session.readings, labels={"target": many}))
     assert diagnose(session).left[0].covariate == "target"
 
 
