@@ -76,6 +76,7 @@ def nodes(request, tmp_path_factory):
         rclpy.shutdown()
 
 
+@pytest.mark.long(but=[f"simulated time-{kind.__name__}" for kind in NODES])
 @pytest.mark.parametrize("kind", NODES)
 def test_no_message_ends_a_node(nodes, kind):
     node = nodes[kind]

@@ -176,7 +176,7 @@ def blocks(name: str, kind: type) -> list:
     return [block for section in content(name, "en") for block in section.blocks if isinstance(block, kind)]
 
 
-@pytest.mark.long(but=("step_diagonal",))
+@pytest.mark.long(but=("tracking_2d",))
 @pytest.mark.parametrize("name", PLANS)
 def test_every_method_has_a_page_that_is_sound_and_loads_nothing(name):
     text = page(name, "en")

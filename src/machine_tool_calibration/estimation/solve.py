@@ -234,6 +234,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
                 break
             damping = min(damping, _MOST_DAMPING)
             continue
+        # Of a step that was hardly shortened.
         little = little + 1 if damping and share >= 0.5 and base.whole - trial.whole < _LITTLE else 0
         base, share = trial, min(2.0 * share, 1.0)
         damping = damping / _SOFTER if damping > _NO_DAMPING else 0.0

@@ -293,15 +293,15 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
         return target, recorded[mine] * np.sign(line[leading]), deviation
     # Not recorded: the sign of the move to the reading; the second reading at a turning point comes from beyond, and
     # whence the first of a run comes is not known: it was approached as the next one is.
-    stay, counted = np.cumsum(np.diff(group, prepend=-1) != 0), np.diff(readings.repeat[mine], prepend=-1) != 0
-    if 2 * np.count_nonzero(counted & (np.diff(group, prepend=-1) == 0)) > len(mine):
+    counted, elsewhere = np.diff(readings.repeat[mine], prepend=-1) != 0, np.diff(group, prepend=-1) != 0
+    if 2 * np.count_nonzero(counted & ~elsewhere) > len(mine):
         counted[1:] = False  # repeats of readings where the axis stands, and not of runs
     again |= counted
     move = np.where(again, 0.0, np.sign(np.diff(group, prepend=group[0] - 1)))
     for k in np.flatnonzero(move == 0):
         following = np.flatnonzero(np.diff(group[k:]) != 0)
         move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
-    stay = np.cumsum(again | (np.diff(group, prepend=-1) != 0))
+    stay = np.cumsum(again | elsewhere)
     if len(stay) >= 2 * stay[-1]:  # places are read several times in a row: nothing moves between
         move = move[first_of_group(stay)]
     return target, move, deviation

@@ -249,9 +249,9 @@ class _Search:
         residual, hat = scaled_residuals(plain, theta, local), hat_values(plain, solution, 0, weight)
         kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
         spread = np.sqrt(np.where(kept > priors.JUDGED, kept, np.inf))
-        dof = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
+        dof = float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0]))
         seen = np.isfinite(spread)
-        noise = bulk_of(np.abs(residual / spread)[seen], dof, self.rounding, self.explained[seen])
+        noise = bulk_of(np.abs(residual / spread)[seen], max(dof, 1.0), self.rounding, self.explained[seen])
         return _Fit(plain, solution, weight, residual, spread, noise, dof)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:

@@ -363,10 +363,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
         out["path within the setup"] = within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
             # As the places say it, so that the noise of a reading does not explain itself.
-            off = np.bincount(observations.run, observations.readings.displacement - observations.path)
-            out["displacement"] = (
-                observations.path + (off / np.maximum(np.bincount(observations.run), 1))[observations.run]
-            )
+            run = observations.run
+            off = np.bincount(run, observations.readings.displacement - observations.path)
+            out["displacement"] = observations.path + (off / np.maximum(np.bincount(run), 1))[run]
     return out
 
 
