@@ -253,8 +253,9 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             shape, found = common_shape(fit.joint, effect, effect.shape_grid(observations))
             shapes[effect.id] = shape, found[fit.index]
     full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
-    moving = fit_models([full]).fits[0].joint if curved else None
-    loose = {effect.id: names for effect in curved if moving and (names := unbounded(moving, effect))}
+    moving = [effect for effect in curved if not all(shape.discrete for shape in effect.shapes)]
+    fitted = fit_models([full]).fits[0].joint if moving else None
+    loose = {effect.id: names for effect in moving if fitted and (names := unbounded(fitted, effect))}
     if loose:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
         why = say("undetermined.not_bounded")

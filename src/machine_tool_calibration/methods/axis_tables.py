@@ -140,8 +140,7 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
     left_out = [entry for entry in result.not_determined if entry.name.startswith(named)]
     squareness: dict[str, tuple[float, float]] = {}
     if "x_position" in result.error_map.content:
-        content, chain = result.error_map.content, sessions[0].description.machine.kinematics
-        found, words = _without_levers(_profiles(content, left_out), chain, content), _IN_PROFILES
+        found, words = _profiles(result.error_map.content, left_out), _IN_PROFILES
     else:
         found, squareness = _terms(result.parameters, tables, left_out)
         words = _OWN_SLOPE
@@ -153,7 +152,7 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
             hint = f"{left_out[0].name}: {left_out[0].why}"
         raise ModelError(f"{' + '.join(session.source for session in sessions)}: no tables of error motions: {hint}")
     chains = [session.description.machine.kinematics for session in sessions]
-    return AxisTables(
+    made = AxisTables(
         next((chain for chain in chains if chain.linear), chains[0]),
         tuple(found),
         squareness,
@@ -163,6 +162,8 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
         words,
         result.model_name + (f" with {', '.join(result.effects)}" if result.effects else ""),
     )
+    content = result.error_map.content
+    return _without_levers(made, content) if "x_position" in content else made
 
 
 def _terms(
@@ -196,22 +197,17 @@ def _profiles(content: Mapping[str, Any], left_out: list[NotDetermined]) -> list
     return found
 
 
-def _without_levers(found: Sequence[AxisTable], chain: Chain, content: Mapping[str, Any]) -> list[AxisTable]:
+def _without_levers(made: AxisTables, content: Mapping[str, Any]) -> AxisTables:
     """Profiles are of the edges through the first block positions, where angles act by their lever arms, too."""
-    turns = [table for table in found if table.name[1] in "ABC"]
+    turns = replace(made, tables=tuple(table for table in made.tables if table.name[1] in "ABC"))
     corner = np.array([content[f"{axis}_position"][0] for axis in "xyz"])
-    out = []
-    for table in found:
-        if turns and table.name[1] in "XYZ":
-            edge = np.where(np.arange(3) == "XYZ".index(table.axis), table.nodes[:, None], corner)
-            lever = np.zeros(len(edge))
-            for turn in turns:
-                angle = np.interp(edge[:, "XYZ".index(turn.axis)], turn.nodes, turn.value)
-                field = error_motions.motion_field(chain, error_motions.parse_motion(turn.name), edge)
-                lever += angle * field[:, "XYZ".index(table.name[1])]
-            table = replace(table, value=table.value - (lever - lever[0]))
-        out.append(table)
-    return out
+
+    def alone(table: AxisTable) -> AxisTable:
+        edge = np.where(np.arange(3) == "XYZ".index(table.axis), table.nodes[:, None], corner)
+        lever = turns.field(edge)[:, "XYZ".index(table.name[1])]
+        return replace(table, value=table.value - (lever - lever[0]))
+
+    return replace(made, tables=tuple(alone(table) if table.name[1] in "XYZ" else table for table in made.tables))
 
 
 def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined]) -> None:

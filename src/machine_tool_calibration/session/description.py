@@ -39,11 +39,6 @@ class Place:
         return where if self.line is None else f"{where} (line {self.line(int(row))})"
 
 
-def rotary_column(description: RotaryAxis) -> str:
-    """The column of the rotary axis under test: the one that the machine names, else the chain's, else `c`."""
-    return description.machine.table_axis.lower()
-
-
 def _check_about(value: Any, where: str = "about") -> Any:
     """Nested texts; what is not text, such as a number or date from a program, becomes its text."""
     if isinstance(value, dict):

@@ -186,11 +186,16 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
                     yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
 
 
+def _read_along(observations: Observations) -> list[Array]:
+    """(n,) components of the sensed direction along each axis along which something was read."""
+    return [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
+
+
 def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     """Targets, tools or operators that differ, where a column names them."""
     if not spec_of(observations.session).reads_machine:
         return
-    directions = [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
+    directions = _read_along(observations)
     for name, texts in observations.readings.labels.items():
         each = np.unique(texts)
         if 2 <= len(each) <= _MOST_SETUPS:
@@ -204,7 +209,7 @@ def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, A
     own = setup == np.unique(setup)[:, None]
     if not spec_of(observations.session).reads_machine or not 2 <= len(own) <= _MOST_SETUPS:
         return
-    directions = [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
+    directions = _read_along(observations)
     for shape, k in (("slopes", 0), ("bends", 1)):
         functions = [_smooth(u)[k : k + 1] for u in _positions(observations).values()]
         columns = [own * f * d for function in functions for f in function for d in directions]
@@ -216,7 +221,7 @@ def _zones(observations: Observations, explained: _Explained) -> Iterator[Candid
     """Zones that are displaced: beyond a line across an axis, and beyond such lines across two (a tile, a joint)."""
     if not spec_of(observations.session).reads_machine:
         return
-    along = np.array([d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION])
+    along = np.array(_read_along(observations))
     for (a, i), (b, j) in combinations(((axis, "xyz".index(axis)) for axis in _positions(observations)), 2):
         u, v = observations.position[:, i], observations.position[:, j]
         corners = list(product(_lines(u), _lines(v)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.session.description import RotaryAxis, rotary_column
+from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Readings, Session, places_among
 
 COMPONENTS = "XYZABC"
@@ -77,7 +77,7 @@ def stated_places(session: Session) -> tuple[Array, Array]:
 def table_readings(session: Session) -> TableReadings:
     """Sort the readings of a rotary axis's session."""
     description = session.description.as_a(RotaryAxis)
-    column = rotary_column(description)
+    column = description.machine.table_axis.lower()
     axis = column.upper()
     good = np.isfinite(session.readings.displacement)
     every = session.readings.column(column)

@@ -20,7 +20,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     refuse_one_line,
     relative_misfit,
 )
-from machine_tool_calibration.session.description import Place, RotaryAxis, rotary_column
+from machine_tool_calibration.session.description import Place, RotaryAxis
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Readings, Session, distinct_places, places_among
@@ -41,7 +41,7 @@ class RotarySpec(MethodSpec):
 
     def columns(self, description: RotaryAxis) -> tuple[str, ...]:
         """The target and the angle of the axis under test."""
-        return ("setup", "repeat", "target", rotary_column(description), "displacement")
+        return ("setup", "repeat", "target", description.machine.table_axis.lower(), "displacement")
 
     def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
         """Stations, targets and angles.
@@ -67,7 +67,7 @@ _FLAT = 0.01
 
 
 def _refuse_one_plane(description: RotaryAxis, place: Place) -> None:
-    along = "abc".index(rotary_column(description))
+    along = "abc".index(description.machine.table_axis.lower())
     stations, targets = (np.array([one.position for one in some]) for some in (description.setups, description.targets))
     sight = stations[:, None] - targets
     height = np.abs(sight[..., along])
@@ -84,7 +84,7 @@ def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArra
     ids = [target.id for target in description.targets]
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
     straight = on_a_line(np.array([description.targets[i].position for i in used]))
-    angle = readings.columns[rotary_column(description)][measured]
+    angle = readings.columns[description.machine.table_axis.lower()][measured]
     first, at_angle = distinct_places(angle[:, None])
     angles = len(first)
     count = len(np.unique(readings.setup[measured]))
@@ -114,7 +114,7 @@ def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArra
 def on_table(session: Session, readings: Readings) -> Array:
     """(n, 3) nominal position of each reading's target at its commanded angle in the machine frame, m."""
     description = session.description.as_a(RotaryAxis)
-    column = rotary_column(description)
+    column = description.machine.table_axis.lower()
     target = places_among(readings.labels["target"], [entry.id for entry in description.targets])
     points = np.array([entry.position for entry in description.targets])[target]
     rotation = axis_rotation(column.upper(), session.rotation_sign * readings.columns[column])
@@ -123,7 +123,7 @@ def on_table(session: Session, readings: Readings) -> Array:
 
 def turning_mistakes(session: Session) -> Iterator[Supposition]:
     """Angles, senses and units of a rotary axis's session."""
-    column = rotary_column(session.description.as_a(RotaryAxis))
+    column = session.description.machine.table_axis.lower()
     yield in_degrees(session, f"the column {column} looks", column)
     yield turned_round(session, "the axis looks as if it turned the other way: check rotation_sign")
     yield from scaled(session, *UNITS, *SENSES)
