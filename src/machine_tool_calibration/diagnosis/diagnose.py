@@ -279,8 +279,8 @@ def _feasible(
     def fit_with(ids: tuple[str, ...]) -> FittedSessions:
         return fit_sessions(searched.adding(ids))
 
-    def look_for(tried: Sequence[Candidate]) -> EffectSearch:
-        return search_effects(pool, tried, structures, side_by_side=side_by_side, present=present)
+    def look_for(tried: Sequence[Candidate], memory: float | None = None) -> EffectSearch:
+        return search_effects(pool, tried, structures, side_by_side=side_by_side, present=present, memory=memory)
 
     gone, refused, predicted = list[Finding](), dict[str, str](), dict[str, tuple[Prediction, ...]]()
     possible = {candidate.name for candidate in candidates}
@@ -289,7 +289,7 @@ def _feasible(
         search = look_for(tried)
         fine = _resolved(pool, tried, search, fit_with)
         if fine is not None:
-            search = look_for(fine)
+            search = look_for(fine, search.memory)
         progress("readings that are left out", 0.7)
         predicted |= predictions(
             searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
@@ -370,7 +370,8 @@ def _left(found: Diagnosis) -> tuple[Structure, ...]:
     if not found.accepted:
         return found.search.structure
     pool = with_laws(found.fits[-1], found.searched.adding(found.accepted).present)
-    return search_effects(pool, [], structure_candidates(pool), side_by_side=_side_by_side(found.searched)).structure
+    structures, side_by_side = structure_candidates(pool), _side_by_side(found.searched)
+    return search_effects(pool, [], structures, side_by_side=side_by_side, memory=found.search.memory).structure
 
 
 @single_blas()

@@ -16,7 +16,6 @@ from machine_tool_calibration.importing.points import point_rows, range_rows
 from machine_tool_calibration.importing.positioning import circle_rows, positioning_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
 from machine_tool_calibration.importing.units import quantity
-from machine_tool_calibration.methods.direct.model import asked_tables
 from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import Direct, Place
@@ -54,8 +53,7 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     """Read a foreign table, or several of the same form (each with setups of its own), as a session.
 
     `name` is the id of the setup where no column names it; by default the file's name without its ending. A
-    SessionError says what is wrong, with file and line, also what cannot be right or is not enough for the method;
-    a ModelError names a machine error that is none of the machine's.
+    SessionError says what is wrong, with file and line, also what cannot be right or is not enough for the method.
     """
     paths = [path] if isinstance(path, Path) else list(path)
     read = [Columns(read_text_table(file, mapping.file), mapping) for file in paths]
@@ -71,8 +69,6 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     readings = assemble(description, rows.numbers, rows.labels, place)
     session = Session(description, readings, source=source)
     check_session(session, place)
-    if isinstance(description, Direct):  # a misspelt error would be met at the identification only
-        asked_tables(description.machine.kinematics, description.terms, readings.position())
     notes = [*(f"{columns.table.source}: {text}" for columns in read for text in columns.table.notes), *rows.notes]
     for columns in read:
         if columns.unread:

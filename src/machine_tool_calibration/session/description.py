@@ -17,6 +17,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.session.contributor import Contributors
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.values import Finite, Identifier, Instrument, Positive, Sign, Vector2, Vector3
@@ -318,6 +319,17 @@ class Direct(Description):
     datum: Literal["none", "offset", "rigid"] = "none"  # what the instrument leaves open in every setup
     terms: tuple[str, ...] = ()  # the machine errors in the model
     setups: Annotated[tuple[Setup, ...], _SETUPS]
+
+    @model_validator(mode="after")
+    def _check_terms(self) -> Direct:
+        linear = self.machine.kinematics.linear
+        for k, name in enumerate(self.terms):
+            if name in self.terms[:k]:
+                raise ValueError(f"terms names {name!r} twice")
+            for axis in SQUARENESS.get(name) or parse_motion(name).axis:
+                if axis not in linear:
+                    raise ValueError(f"terms names {name!r}, but the chain has no linear axis {axis}")
+        return self
 
     @property
     def sense(self) -> Vector3:

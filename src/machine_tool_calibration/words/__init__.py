@@ -14,7 +14,10 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["LANGUAGES", "Said", "Verbatim", "Words", "enumeration", "figures", "named", "say", "together", "words"]
+__all__ = [
+    *("LANGUAGES", "Said", "Verbatim", "Words"),
+    *("enumeration", "figures", "lasting", "named", "say", "together", "words"),
+]
 
 _FILES = {file.name.removesuffix(".yaml"): file for file in resources.files(__package__).iterdir() if ".y" in file.name}
 LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
@@ -55,6 +58,13 @@ class Said(str):
 def figures(value: float, count: int = 3) -> str:
     """A number with so many figures, and no exponent where it is large."""
     return f"{float(f'{value:.{count}g}'):.12g}"
+
+
+def lasting(seconds: float) -> str:
+    """A time with three figures, in the unit that it is readable in."""
+    least = (("d", 86400.0), ("h", 3600.0), ("min", 60.0))
+    unit, of = next((one for one in least if abs(seconds) >= 2.0 * one[1]), ("s", 1.0))
+    return f"{seconds / of:.3g} {unit}"
 
 
 def say(key: str, /, **values: Any) -> Said:

@@ -128,7 +128,7 @@ def test_a_slow_wave_of_which_the_model_takes_up_most_is_found() -> None:
     assert found.accepted == ()
     # Of a period within a few percent.
     shapes = [structure.shape for structure in found.search.structure if structure.covariate == "time"]
-    assert any("wave" in shape and 870.0 < float(shape.split()[-2]) < 930.0 for shape in shapes)
+    assert any("wave" in shape and shape.endswith("min") and 14.5 < float(shape.split()[-2]) < 15.5 for shape in shapes)
 
 
 @pytest.mark.long
@@ -160,6 +160,14 @@ def test_moments_of_changes_count_the_readings_before_them() -> None:
     step, wave = (Candidate("", (), dependence=("order", say(f"shape.{of}", at=""))) for of in ("step_at", "wave"))
     told = [_dependence(candidate, (moment,))[1] for candidate, moment in ((step, 0.0), (step, 6.0), (wave, 2.574))]
     assert [words.rsplit(" ", 2)[1:] for words in told] == [["1", "reading"], ["7", "readings"], ["2.57", "readings"]]
+
+
+def test_times_of_patterns_are_told_in_readable_units() -> None:
+    wave = Candidate("", (), dependence=("time", say("shape.wave", at="")))
+    told = [_dependence(wave, (period,))[1] for period in (4.31, 119.0, 120.0, 7100.0, 9000.0, 3.2e7)]
+    assert [words.rsplit(" ", 2)[1:] for words in told] == [
+        ["4.31", "s"], ["119", "s"], ["2", "min"], ["118", "min"], ["2.5", "h"], ["370", "d"]
+    ]  # fmt: skip
 
 
 @pytest.mark.long

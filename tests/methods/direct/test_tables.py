@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.direct.model import nodes_from
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.session import Session
@@ -92,7 +92,7 @@ def test_no_terms_and_missing_readings(direct: SimpleNamespace) -> None:
     ("terms", "message"), [(["EXQ"], "EXQ"), (["EXX", "EXX"], "twice"), (["ECC"], "no linear axis C"), (["Q0Z"], "Q0Z")]
 )
 def test_terms_that_the_machine_does_not_have(direct: SimpleNamespace, terms: list[str], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(SessionError, match=message):
         identify(direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), np.zeros(10), terms=terms))
 
 

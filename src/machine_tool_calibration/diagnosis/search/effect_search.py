@@ -29,7 +29,7 @@ from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.result import effect_signal
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import lasting, say
 
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
@@ -104,6 +104,7 @@ def search_effects(
     side_by_side: bool,
     exact_laws: bool = False,
     present: Sequence[Candidate] = (),
+    memory: float | None = None,
 ) -> EffectSearch:
     """The posterior over everything that may be missing, and what is read off it.
 
@@ -114,9 +115,13 @@ def search_effects(
         side_by_side: whether many effects are expected at once.
         exact_laws: whether laws are taken to hold exactly, for a first look.
         present: effects that the model has already.
+        memory: readings that tell as much as one independent one, where it is known; looked for if absent.
     """
     fit, columns = pool.fit, outside_the_model(pool, candidates, structures)
-    memory, found = _with_memory(columns, side_by_side)
+    if memory is None:
+        memory, found = _with_memory(columns, side_by_side)
+    else:
+        found = _searched(columns, side_by_side, memory, at_first=True)
     # What may be in is looked at again with laws that hold to some percent.
     if not exact_laws:
         tried = _to_some_percent(columns, found)
@@ -336,7 +341,7 @@ def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, st
     if len(shape) > 1:
         return covariate, say(how.key, at=", ".join(f"{1e3 * position:.4g} mm" for position in shape))
     if covariate.endswith("time"):
-        return covariate, say(how.key, at=f"{shape[0]:.3g} s")
+        return covariate, say(how.key, at=lasting(shape[0]))
     # The moment of a change is that of the last reading before it, the first of which is number 0.
     number = f"{shape[0]:.3g}" if how.key == "shape.wave" else round(shape[0]) + 1
     return covariate, say(how.key, at=say("shape.readings", n=number))

@@ -16,7 +16,16 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Batch, Block, Point, Table, batches, columns_of, table
+from machine_tool_calibration.diagnosis.search.evidence import (
+    NUMBERS_AT_ONCE,
+    Batch,
+    Block,
+    Point,
+    Table,
+    batches,
+    columns_of,
+    table,
+)
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
@@ -286,11 +295,17 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
     inner = np.eye(len(columns)) + tried.inner(columns, columns) * np.outer(scale, scale)
     data, squares = tried.data[:, columns] * scale, tried.squares
     left, determinant = np.empty((2, len(pairs), len(squares)))
+    by_size: dict[int, list[int]] = {}
     for n, (i, j) in enumerate(pairs):
-        own = np.append(place[i], place[j])
-        core, right = inner[..., own[:, None], own], data[:, own]
-        left[n] = squares - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=1)
-        determinant[n] = np.linalg.slogdet(core)[1]
+        by_size.setdefault(len(place[i]) + len(place[j]), []).append(n)
+    for size, alike in by_size.items():
+        own = np.array([np.append(place[i], place[j]) for i, j in (pairs[n] for n in alike)])
+        step = max(int(NUMBERS_AT_ONCE / (len(squares) * size**2)), 1)
+        for some in (slice(k, k + step) for k in range(0, len(own), step)):
+            core, right = inner[..., own[some, :, None], own[some, None]], data[:, own[some]]
+            at = alike[some]
+            left[at] = (squares[:, None] - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=-1)).T
+            determinant[at] = np.linalg.slogdet(core)[1].T if core.ndim > 3 else np.linalg.slogdet(core)[1][:, None]
     logs = tried.gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant + tried.log_prior
     weight = logsumexp(logs, axis=1) + [work.prior(members | {k: points[k] for k in pair}) for pair in pairs]
     least = max(value for value, _ in work.found.values()) + _HOPELESS

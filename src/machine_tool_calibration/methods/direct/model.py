@@ -133,7 +133,7 @@ def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Ar
 def asked_tables(
     chain: Chain, terms: Sequence[str], position: Array, count: int | None = None
 ) -> tuple[MachineTable, ...]:
-    """Tables of the motions (EXX, C0Y) that a session names; a ModelError if one is unknown, twice, or of no axis.
+    """Tables of the motions (EXX, C0Y) that a session names.
 
     Args:
         chain: the machine's axes.
@@ -142,12 +142,6 @@ def asked_tables(
         count: readings by which nodes are spread; n if None. With those that were set aside, so that these make no
             table coarser.
     """
-    for k, name in enumerate(terms):
-        if name in terms[:k]:
-            raise ModelError(f"terms names {name!r} twice")
-        for axis in SQUARENESS.get(name) or parse_motion(name).axis:
-            if axis not in chain.linear:
-                raise ModelError(f"terms names {name!r}, but the chain has no linear axis {axis}")
     axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
     many, count = _NODES_OF_MANY, count or len(position)
     along = {axis: position[:, "XYZ".index(axis)] for axis in axes}
@@ -189,8 +183,8 @@ class DirectModel(MethodModel):
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """The model of a session of direct deviations: the machine errors that it names in `terms`, or `free` places.
 
-    A ModelError says what is wrong: an unknown error, an axis that the machine does not have, no reading, or
-    readings that contradict the model in a way that a common mistake explains.
+    A ModelError says what is wrong: no reading, or readings that contradict the model in a way that a common mistake
+    explains.
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))

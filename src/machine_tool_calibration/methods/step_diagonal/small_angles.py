@@ -41,7 +41,7 @@ from functools import lru_cache
 from math import log
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, solve_triangular
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array
@@ -183,6 +183,14 @@ def _shaped(root: Array, gram: Array, right: Array, variance: Array) -> _Shape:
     return _Shape(directions, information, along, likelihood)
 
 
+def _log_likelihood(gram: Array, right: Array, variance: Array) -> Array:
+    """(s,) of each size over none, as `_Shape` has it, of independent coefficients: without their directions."""
+    factors = np.linalg.cholesky(np.eye(len(gram)) + variance[:, None, None] * gram)
+    explained = np.array([solve_triangular(lower, right, lower=True, check_finite=False) for lower in factors])
+    determinant = np.log(np.diagonal(factors, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(0.5 * variance * np.sum(explained**2, axis=-1) - determinant)
+
+
 def _of_errors(
     places: Sequence[tuple[tuple[float, ...], int]], factors: Sequence[float], shape: int
 ) -> tuple[list[Array], Array]:
@@ -264,7 +272,8 @@ def own_sizes(roots: Sequence[Array], gram: Array, right: Array) -> Ratios:
 
     def evidence(factors: tuple[float, ...]) -> float:
         if factors not in found:
-            each = _shaped(np.diag(np.array(factors)[of]), inner, along, variance).log_likelihood
+            own = np.array(factors)[of]
+            each = _log_likelihood(inner * np.outer(own, own), along * own, variance)
             alike = logsumexp(np.append(each - log(_COARSE_SIZES / (1.0 - NONE)), log(NONE)))
             found[factors] = float(alike) - cost * sum(f != 1.0 for f in factors)
         return found[factors]
