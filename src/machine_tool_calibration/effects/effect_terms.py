@@ -37,6 +37,8 @@ ABSORBED = 1e-7
 _REPEATED = 1e-7
 # Smallest share of the squared norm that the model leaves of any combination of an effect's columns that it tells.
 _LEAST_SHARE_LEFT = 1e-6
+# Squared norm of a column, over the largest of its effect, below which it is the computer's rounding.
+_ROUNDING = 1e-20
 _TAKEN_UP = say("undetermined.taken_up")
 
 
@@ -115,6 +117,15 @@ def common_shape(
     return shape, explained([shape])[1][0]
 
 
+def _more_than_rounding(squares: Array) -> Array:
+    """Squared norms of columns, those of rounding alone as if they were as large as the others.
+
+    So they explain nothing: the sine of a wave whose nodes are all the places that were read is none of its sizes.
+    """
+    largest = max(float(squares.max(initial=0.0)), np.finfo(float).tiny)
+    return np.where(squares > _ROUNDING * largest, squares, largest)
+
+
 def _explained(
     joint: JointFit, effect: Effect, shapes: Sequence[tuple[float, ...]]
 ) -> tuple[list[float], list[list[Array]], list[bool]]:
@@ -132,7 +143,7 @@ def _explained(
         mine = [[place[name] for name in own[s]] if own else [] for own in names]
         pick = np.unique(np.concatenate(mine).astype(np.int64))
         inner, right = screened.gram[np.ix_(pick, pick)], screened.gram[pick, -1]
-        scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
+        scale = np.sqrt(_more_than_rounding(screened.squares[pick]))
         inner = inner / np.outer(scale, scale)
         size = np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ (right / scale) / scale
         gains.append(float(right @ size))

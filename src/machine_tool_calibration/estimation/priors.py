@@ -28,6 +28,10 @@ MADE_UP_FOR = 30.0
 """Logarithm of the evidence of a memory up to which an effect may be hidden by it: one that is so much of fifty
 readings as to make them alike by more is found with that memory, too."""
 
+OWN_NOISE = 0.1
+"""Probability that directions or setups that are read directly have noise of their own: mostly one instrument reads
+all."""
+
 # --- what does not reproduce (size in units of the noise) ---
 
 ALL_REPRODUCES = 0.5

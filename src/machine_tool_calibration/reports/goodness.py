@@ -18,10 +18,10 @@ from machine_tool_calibration.model.result import (
     only_if_right,
     scatter_p_value,
 )
+from machine_tool_calibration.reports.quantities import MOST_NAMED, quantity, rounded
 from machine_tool_calibration.reports.quantities import p_value as chance
-from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.words import Said, say, together
+from machine_tool_calibration.words import Said, Verbatim, say, together
 
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
@@ -57,6 +57,15 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     if how == "too well":
         return say("fit.declared_used", ratio=ratio, both=both)
     return say("fit.scatter_as_declared", both=both)
+
+
+def each_words(content: Mapping[str, Any]) -> Iterator[Said]:
+    """What directions and setups scatter by where they differ."""
+    for way, sizes in ((content.get("scatter") or {}).get("each") or {}).items():
+        ranked = sorted(sizes.items(), key=lambda one: one[1])
+        shown, between = (ranked, ", ") if len(ranked) <= MOST_NAMED else ((ranked[0], ranked[-1]), " … ")
+        each = (say(f"fit.each_{way}", size=quantity(size, "m"), name=Verbatim(name)) for name, size in shown)
+        yield say("fit.each", each=together(each, between))
 
 
 def _both(found: float, declared: float) -> Said:

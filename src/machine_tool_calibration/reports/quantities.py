@@ -79,7 +79,7 @@ def rounded(value: float | None) -> str:
         return NOT_DETERMINED
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
-    digits = 2 - math.floor(math.log10(abs(value)))
+    digits = 2 - math.floor(math.log10(abs(float(f"{value:.3g}"))))
     return f"{value:.{max(digits, 0)}f}" if -3 <= digits <= 8 else f"{value:.2e}"
 
 

@@ -6,11 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.arrays import groups, rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
@@ -47,6 +48,8 @@ _PARTLY = 0.5
 _MEMORY = 1.5
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
+# Share of what places differ by that is most of it.
+_MOST = 0.5
 
 
 def verdict_words(
@@ -194,9 +197,11 @@ def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter",
     def by_repeats(share: float) -> bool:
         return any(noise.is_all(repeats, chi_square, share) for repeats in (noise.as_read, noise.from_repeats))
 
-    if by_repeats(_PARTLY):
+    more = max(size for size in (noise.as_read, noise.from_repeats) if size is not None) > noise.declared
+    if more and by_repeats(_PARTLY):
         return "scatter" if by_repeats(priors.AS_NOISY) else "both"
-    return "places" if any(one.moves for one in observed) else "setups"
+    moves = any(one.moves for one in observed) and not _differ_by_setup(diagnosis.fits[-1])
+    return "places" if moves else "setups"
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:
@@ -340,11 +345,23 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         probabilities = [alike_beside_p(own) for own in fit.fits]
         alike = any(p is not None and p < priors.STRUCTURE_P for p in probabilities)
         if alike or not patterns:
-            apart = "places_differ" if any(own.model.observations.moves for own in fit.fits) else "targets_differ"
+            moves = any(own.model.observations.moves for own in fit.fits)
+            apart = ("setups_differ" if _differ_by_setup(fit) else "places_differ") if moves else "targets_differ"
             key = "places_alike" if alike else apart
             yield say(f"diagnosis.{key}", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.left:
         yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
+
+
+def _differ_by_setup(fit: JointFit) -> bool:
+    """Whether most of what places differ by is what each of them differs by from setup to setup."""
+    between = of_setups = 0.0
+    for own in fit.fits:
+        seen, residual = own.model.observations, own.residuals
+        at, state = groups(*seen.position.T, *seen.direction.T), seen.place
+        whole, each = (np.bincount(k, residual)[k] / np.bincount(k)[k] for k in (at, state))
+        between, of_setups = between + float(each @ each), of_setups + float((each - whole) @ (each - whole))
+    return of_setups > _MOST * between
 
 
 def mounted_more_than_once(session: Session) -> bool:

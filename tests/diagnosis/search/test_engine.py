@@ -185,7 +185,8 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     assert found.accepted == ()
     assert found.search.unknown > 0.99
     waves = [s for s in found.search.structure if s.covariate == "time" and "period" in s.shape]
-    assert float(waves[0].shape.split()[-2]) == pytest.approx(173.0, rel=0.01)
+    period, unit = waves[0].shape.split()[-2:]
+    assert (60.0 * float(period), unit) == (pytest.approx(173.0, rel=0.01), "min")
     assert waves[0].share == max(s.share for s in found.search.structure)
 
 

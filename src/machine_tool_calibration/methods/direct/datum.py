@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an instrument that reads deviations leaves open, and only as much datum as the readings need."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.solve import LEAST_EIGENVALUE
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import enumeration, say
 
 # Share of a condition along what is still open below which it fixes nothing of it.
 _FIXED_SHARE = 1e-5
@@ -126,3 +128,23 @@ def _second_order(turn: Array, arm: Array) -> Array:
     # sin(a) - a and 1 - cos(a), without cancellation
     sine = -(angle**3) / 6 * (1 - angle**2 / 20) if angle < 0.1 else np.sin(angle) - angle
     return np.asarray(sine * once + 2 * np.sin(angle / 2) ** 2 * np.cross(unit, once))
+
+
+def unconnected(observed: Observations, place: IntArray) -> Iterator[str]:
+    """Groups of places between which no setup tells the difference, axis by axis, in words.
+
+    The setups have an offset each; `place` (n,) is that of each reading.
+    """
+    direction, setup = np.abs(observed.direction), groups(observed.readings.setup)
+    for j, axis in enumerate("xyz"):
+        mine = direction.argmax(axis=1) == j
+        if not mine.any():
+            continue
+        at = groups(place[mine])
+        count, size = 1 + int(at.max()), 2 + int(at.max()) + int(setup.max())
+        read = coo_array((np.ones(len(at)), (at, count + setup[mine])), shape=(size, size))
+        sizes = np.bincount(connected_components(read, directed=False)[1][:count])
+        sizes = np.sort(sizes[sizes > 0])[::-1]
+        if len(sizes) > 1:
+            shown = enumeration([str(one) for one in sizes.tolist()])
+            yield say("datum.unconnected", axis=axis, groups=len(sizes), sizes=shown)

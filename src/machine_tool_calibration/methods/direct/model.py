@@ -9,8 +9,10 @@ residuals.
 What a fit says of it are position errors, tables, and the figures of ISO 230-2 runs.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -19,12 +21,15 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.robust import Reweighted, robust_start, scaled_residuals
+from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
+from machine_tool_calibration.methods.direct.own_noise import far_out, relative_noise, told, ways_to_group
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
@@ -34,6 +39,7 @@ from machine_tool_calibration.model.model import (
     NotDetermined,
     Parameter,
     Term,
+    assemble,
     weight_row,
 )
 from machine_tool_calibration.model.observations import Observations, first_states
@@ -49,6 +55,9 @@ from machine_tool_calibration.model.rigid_body import (
     tables_content,
     thinned,
 )
+from machine_tool_calibration.residuals.gross_error_sets import HELD_OUT
+from machine_tool_calibration.residuals.leverage import hat_values
+from machine_tool_calibration.residuals.noise import rounding_of
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say, together
@@ -166,6 +175,23 @@ class DirectModel(MethodModel):
     setups: datum.SetupDatum  # what each setup leaves open
     fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
     points: tuple[PointErrors, ...] = ()  # in place of tables, errors of every place by itself
+    # (n,) noise of each reading in units of that of all; None where directions and setups scatter alike
+    noise: Array | None = None
+
+    @property
+    def sigma(self) -> Array:
+        """(n,) declared standard uncertainty of each reading, m, as far as directions and setups scatter alike."""
+        return super().sigma if self.noise is None else super().sigma * self.noise
+
+    def reestimated(self) -> DirectModel:
+        """The noise of each direction and setup as it is beside the terms that were added."""
+        ways = list(ways_to_group(self.observations))
+        if not ways:
+            return self
+        plain = replace(self, noise=None)
+        problem, least = assemble([plain]).problem, rounding_of(self.observations.readings.displacement)
+        residual, left = _beside_gross_errors(problem, far_out(robust_start(problem).residuals[0], ways[-1]))
+        return replace(self, noise=relative_noise(residual, left, ways, least / rms(plain.sigma)))
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -180,6 +206,17 @@ class DirectModel(MethodModel):
         return linear_part(self, readings.setup, reading, self.setups.columns, places, dense_index)
 
 
+def _beside_gross_errors(problem: Problem, far: BoolArray) -> tuple[Array, Array]:
+    """(n,) residuals over the declared uncertainty, and the share of each reading that the model does not follow.
+
+    Those that are `far` out (n,) have no say, and no share.
+    """
+    part, weight = problem.parts[0], np.where(far, HELD_OUT, 1.0)
+    found = solve(replace(problem, parts=[Reweighted(part, weight)]))
+    left = 1.0 - np.clip(hat_values(part, found, 0, weight), 0.0, 1.0)
+    return scaled_residuals(part, found.theta, found.local[0]), np.where(far, 0.0, left)
+
+
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """The model of a session of direct deviations: the machine errors that it names in `terms`, or `free` places.
 
@@ -188,7 +225,7 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
-    return build_direct(session, free=model == "free")
+    return build_direct(session, free=model == "free").reestimated()
 
 
 def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: bool = False) -> DirectModel:
@@ -208,8 +245,12 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
         points = point_errors(chain, position, sensed_axes(direction))
         terms_of_points = tuple(one.term(observations) for one in points)
         constraints, fixed = _needed(list(point_datum(points, observations)), terms_of_points, setups, observations)
+        said = setups.words
+        if description.datum == "offset":
+            place = distinct_places(position)[1]
+            said = together((said, *datum.unconnected(observations, place)), "; ")
         return made(
-            terms=terms_of_points, constraints=constraints, left_out=setups.left_out, datum=setups.words, tables=(),
+            terms=terms_of_points, constraints=constraints, left_out=setups.left_out, datum=said, tables=(),
             fixed=fixed, points=points,
         )  # fmt: skip
     kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position, count))
@@ -337,18 +378,22 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
         runs = positioning_runs(observations)
-        content["scatter"] = _scatter(observations, fit, runs)
+        content["scatter"] = _scatter(model, fit, runs)
         content |= ({"iso230_2": runs} if runs else {}) | diagonal_tests(observations)
     return ErrorMap(content, points, error, uncertainty, covariance)
 
 
-def _scatter(observations: Observations, fit: Fit, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest.
+
+    Where directions or setups differ, what `each` scatters by.
 
     Where beside it only the reversal of ISO 230-2 runs is in it, also the scatter of one position and direction.
     """
-    sigma, ratio = fit.model.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
+    sigma, observations = replace(model, noise=None).sigma, model.observations
     declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
+    found = float(np.sqrt(fit.joint.reduced_chi_square)) * declared
+    each = {} if model.noise is None else told(observations, found * model.noise)
     own: dict[str, Any] = {}
     if len(runs) == len(observations.session.setup_ids) and all(np.isfinite(run["B"]) for run in runs):
         squares, dof, reversal = _by_direction(runs)
@@ -358,9 +403,10 @@ def _scatter(observations: Observations, fit: Fit, runs: Sequence[Mapping[str, A
     return {
         **own,
         "declared": declared,
-        "found": ratio * declared,
+        "found": found,
         "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 else "declared",
         "factor": fit.scatter_factor,
+        "each": each,
     }
 
 

@@ -17,6 +17,9 @@ from machine_tool_calibration.words import say
 
 MAP_DATUM = say("datum.map")
 
+# Length of nothing, m: what is divided by it is no number of its own.
+_NO_LENGTH = 1e-150
+
 
 class NetworkMotion:
     """Common motions of targets and stations: shifts along and turns about the axes, about the targets' centre."""
@@ -171,7 +174,8 @@ class MultilaterationPart(Part):
         path = self._path[group][:, chunk]
         if self._beam is None:
             length = np.einsum("dsn,dsn->sn", line, line)
-            np.sqrt(length, out=length)
+            # A target that stands on another station is not read from there: its weight is 0.
+            np.maximum(np.sqrt(length, out=length), _NO_LENGTH, out=length)
             columns = line
             columns *= weight / length
             residual = np.subtract(unknown[:, d, None], length, out=length)

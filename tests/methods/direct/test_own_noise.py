@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Directions and setups that scatter differently: each has its own noise, and those that scatter alike have one."""
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.reports.identification import goodness_of_fit
+from machine_tool_calibration.session.session import Session
+
+from ... import plates
+
+PLACES, REPEATS = np.linspace(0.0, 0.5, 11), 5
+TRUE = 1e-6 * np.random.default_rng(3).normal(size=(2, 11)) * 10.0
+
+
+def read(noise: tuple[float, float], seed: int = 0) -> tuple[Session, np.ndarray]:
+    """X read along x and along y by two instruments, and which direction each reading is of."""
+    along = np.tile([0, 1], 11 * REPEATS)
+    place = np.tile(np.repeat(np.arange(11), 2), REPEATS)
+    rng = np.random.default_rng(seed)
+    columns = {
+        "x": PLACES[place],
+        "y": 0.0 * place,
+        "z": 0.0 * place,
+        "gx": 1.0 - along,
+        "gy": along,
+        "gz": 0.0 * place,
+    }
+    columns["displacement"] = TRUE[along, place] + np.array(noise)[along] * rng.normal(size=len(place))
+    repeat = np.repeat(np.arange(REPEATS), 22)
+    return plates.session(columns, 1e-6, "none", ["EXX", "EYX"], repeat), along
+
+
+def uncertainty(found: Result, table: str) -> float:
+    return float(np.mean(found.error_map.content["tables"][table]["value_u"]))
+
+
+def test_each_direction_has_the_uncertainty_of_its_own_instrument() -> None:
+    covered = []
+    for seed in range(20):
+        found = identify(read((2e-6, 20e-6), seed)[0])
+        assert uncertainty(found, "EXX") == pytest.approx(2e-6 / np.sqrt(REPEATS), rel=0.4)
+        assert uncertainty(found, "EYX") == pytest.approx(20e-6 / np.sqrt(REPEATS), rel=0.4)
+        tables = found.error_map.content["tables"]
+        off = [
+            np.abs(tables[name]["value"] - TRUE[k]) / tables[name]["value_u"] for k, name in enumerate(("EXX", "EYX"))
+        ]
+        covered.append(np.array(off) < 2.0)
+    for share in np.mean(covered, axis=(0, 2)):
+        assert 0.9 < share < 0.99
+
+
+def test_a_gross_error_of_the_quiet_direction_is_found_beside_the_noisy_one() -> None:
+    session, _ = read((2e-6, 20e-6))
+    wrong = session.readings.displacement.copy()
+    wrong[0] += 30e-6
+    found = identify(plates.with_columns(session, wrong))
+    assert [entry.row for entry in found.rejected] == [0]
+
+
+def test_what_each_direction_scatters_by_is_said() -> None:
+    document = identify(read((2e-6, 20e-6))[0]).document()
+    each = document["error_map"]["scatter"]["each"]["along"]
+    assert each["x"] == pytest.approx(2e-6, rel=0.3)
+    assert each["y"] == pytest.approx(20e-6, rel=0.3)
+    assert "µm along x, " in goodness_of_fit(document)
+
+
+def test_setups_that_scatter_differently() -> None:
+    """Of one place, so that setups cannot be told by places: 1, 1 and 30 µm."""
+    rng, setup = np.random.default_rng(1), np.repeat([0, 1, 2], 12)
+    columns = {key: np.zeros(36) for key in "xyz"} | {"gx": np.ones(36), "gy": np.zeros(36), "gz": np.zeros(36)}
+    columns["displacement"] = np.array([1e-6, 1e-6, 30e-6])[setup] * rng.normal(size=36)
+    session = plates.session(columns, 1e-6, "offset", (), None, "a", "b", "c", setup=setup.tolist())
+    found = {p.name: p.standard_uncertainty for p in identify(session).parameters}
+    assert max(found["a.offset"], found["b.offset"]) < 1e-6
+    assert found["c.offset"] == pytest.approx(30e-6 / np.sqrt(12), rel=0.5)
+
+
+def test_directions_that_scatter_alike_have_one_noise() -> None:
+    told = [build_model(read((3e-6, 3e-6), seed)[0])[0].noise for seed in range(30)]  # type: ignore[attr-defined]
+    apart = [noise for noise in told if noise is not None]
+    assert len(apart) <= 6
+    assert all(np.ptp(np.log(noise)) < 0.3 for noise in apart)
+
+
+def test_rounded_readings_are_not_without_noise() -> None:
+    """All readings of X agree to the micrometre that they are rounded to."""
+    session, along = read((0.1e-6, 5e-6))
+    values = session.readings.displacement
+    session = plates.with_columns(session, np.where(along == 0, np.round(values, 6), values))
+    each = identify(session).document()["error_map"]["scatter"]["each"]["along"]
+    assert each["x"] > 1e-6 / np.sqrt(12) / 2
