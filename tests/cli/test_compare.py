@@ -12,7 +12,7 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, RotaryPlan, SimulationSpec, simulate
 
 from ..told import Verb
 
@@ -79,3 +79,11 @@ def test_the_history_of_one_is_taken_and_the_other_named(pair: tuple[str, str], 
 def test_an_effect_that_neither_can_have_is_refused(pair: tuple[str, str], verb: Verb) -> None:
     said = verb.refused("compare-maps", *pair, "--effect", "backlash_c")
     assert "neither measurement can have the effect backlash_c" in said
+
+
+@pytest.mark.parametrize("axis", ["A", "B"])
+def test_the_other_rotary_axes_are_compared_in_their_own_units(axis: str, tmp_path: Path, verb: Verb) -> None:
+    write_session(simulate(SimulationSpec(plan=RotaryPlan(axis=axis), seed=1)).session, tmp_path / "s")
+    out = verb("compare", tmp_path / "s").out
+    assert re.search(rf"^{axis.lower()} +\d.* °", out, re.MULTILINE)
+    assert re.search(rf"^{axis.lower()} +\d+ / \d+ .* µrad", out, re.MULTILINE)

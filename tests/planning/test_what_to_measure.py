@@ -16,7 +16,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.outlook import outlooks
@@ -207,3 +207,13 @@ def test_another_station_is_judged_by_where_it_stands(simulated) -> None:
     assert np.sqrt(2 / 3) * now.typical - 1e-9 < then[0].typical < 0.9 * now.typical
     stations = [one for one in then if one.words.startswith("measure once from one more station")]
     assert stations and all(len(one.places) == 36 and one.seconds == 144.0 for one in stations)
+
+
+@pytest.mark.long
+def test_outlook_of_sessions_whose_map_gets_places_more() -> None:
+    made = (simulate(SimulationSpec(plan=PRESETS[name], seed=1)).session for name in ("ball_bar", "step_diagonal"))
+    together = FitRequest(tuple(made), ("a", "b"))
+    now, *then = outlooks(together, identify_sessions(together))
+    assert then
+    assert all(one.uncertainty.shape == now.uncertainty.shape for one in then)
+    assert any(one.typical < now.typical for one in then)

@@ -215,3 +215,33 @@ def test_a_beam_is_held_by_a_pointer_in_the_plane_alone(name):
     held = procedure.model_copy(update={"path": procedure.path.model_copy(update={"azimuth": (0.0,)})})
     with pytest.raises(SessionError, match="open-loop pointer in the plane"):
         plan(held)
+
+
+@pytest.mark.parametrize("ends", [(0.0, 0.4), (0.4, 0.0)])
+def test_either_end_is_approached_from_both_sides(ends):
+    """A path that descends turns back as one that ascends does: no position loses its reversal."""
+    first, last = ends
+    text = f"""
+format: mtcal-procedure/1
+name: there_and_back
+session:
+  method: direct
+  machine: {{chain: w-X-b-t, travel: {{X: [-0.1, 0.6]}}}}
+  standard_uncertainty: {{displacement: 1.0e-7}}
+  datum: offset
+  terms: [EXX]
+  setups: [{{id: X}}]
+path:
+  grid: {{x: {{first: {first}, last: {last}, count: 5}}}}
+"""
+    steps = plan(parse_procedure(text, "there and back")).steps
+    way = 1 if last > first else -1
+    assert [step.direction["x"] for step in steps] == [way] * 5 + [-way] * 5
+    with pytest.raises(SessionError, match="outside the travel"):
+        plan(parse_procedure(text.replace(f"last: {last}", "last: 5.0"), "too far"))
+
+
+def test_a_point_that_names_no_axis_is_refused():
+    text = TEXT.replace("  grid: {x: {first: 0.0, last: 0.4, count: 3}, y: [0.1, 0.2]}", "  points: [{}]")
+    with pytest.raises(SessionError, match="points must each name an axis"):
+        small(text)

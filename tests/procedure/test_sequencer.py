@@ -347,3 +347,22 @@ def test_who_moves_the_axes_again_and_again_ends_in_an_error():
 
 def test_what_was_said_of_the_axes_before_they_arrived_moves_nothing():
     assert jogged(lambda before: before, times=1).sequencer.counters.unstable == 0
+
+
+def test_a_start_after_an_abort_counts_unsteady_readings_anew():
+    world = World(small())
+
+    def attempts() -> int:
+        (motion, _aim), count = world.sequencer.start(world.clock, world.wall), 0
+        while world.sequencer.state is State.RUNNING:
+            handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
+            handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp))
+            (request,) = handle(Arrived(motion.stamp, motion.stamp + 1, motion.stamp + 2 * SECOND, "a"))
+            world.clock += 2 * SECOND
+            motion, *_ = [*handle(CaptureFailed(request.token, "unstable", "the path still changes")), None]
+            count += 1
+        world.sequencer.abort(world.clock)
+        world.clock += 2 * SECOND
+        return count
+
+    assert [attempts(), attempts()] == [4, 4]

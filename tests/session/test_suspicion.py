@@ -312,3 +312,11 @@ def test_a_measurement_that_is_given_twice_is_refused(tmp_path: Path, capsys: py
     assert out == "" and "tracking_2d and again are the same readings" in err
     other = read_session(measured_again(both[0], tmp_path / "other"))
     refuse_repeated([read_session(Path(both[0])), other], ["a", "b"])
+
+
+def test_no_direction_where_an_axis_stood_still_is_no_opposite_one() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=2)).session
+    y = session.readings.columns["y"]
+    columns = {**session.readings.columns, "dir_y": np.sign(np.diff(y, prepend=y[:1]))}
+    seen = session.with_readings(replace(session.readings, columns=columns))
+    assert not any("opposite" in words for words in suspicions([seen]))

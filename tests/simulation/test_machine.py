@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.machine_file import random_machine
+from machine_tool_calibration.simulation.machine_file import merged, random_machine
 from machine_tool_calibration.simulation.motions import (
     AxisMotion,
     Table,
@@ -220,3 +220,11 @@ def test_unfit_tables_are_refused(nodes, values, kind):
 def test_a_motion_of_another_axis_is_refused():
     with pytest.raises(ModelError, match="EXY is not an error motion of the X axis"):
         AxisMotion("X", (("EXY", Table((0.0, 1.0), (0.0, 0.0))),))
+
+
+def test_motions_of_one_name_are_written_as_their_sum():
+    smooth = Table((0.0, 0.1, 0.2, 0.3, 0.4), (0.0, 4e-6, -3e-6, 2e-6, 1e-6))
+    bent = Table((0.0, 0.17, 0.4), (0.0, 5e-6, 0.0), "linear")
+    one = merged(AxisMotion("X", (("EXX", smooth), ("EXX", bent))))["EXX"]
+    at = np.linspace(0.0, 0.4, 1001)
+    np.testing.assert_allclose(one(at), smooth(at) + bent(at), atol=1e-10)

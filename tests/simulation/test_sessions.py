@@ -411,3 +411,19 @@ def test_a_flaw_of_ones_own():
     x = simulated.session.readings.columns["x"]
     np.testing.assert_allclose(simulated.truth.signal, 2e-6 * x**2, atol=1e-16)
     assert simulated.truth.document()["effect"] == "unlisted_mine"
+
+
+def test_repeats_of_one_place_come_one_after_the_other():
+    drift = FlawSpec(id="linear_drift", size=1e-9)
+    simulated = simulate(SimulationSpec(plan=DirectPlan(kind="points", repeats=5), effects=(drift,)))
+    time = simulated.session.readings.columns["time"]
+    np.testing.assert_allclose(np.diff(time), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("points", "directions", "message"),
+    [(3, ((1, 0, 0), (0, 1, 0)), "as many of both"), (1, ((0, 0, 0),), "must not be zero")],
+)
+def test_directions_that_do_not_fit_the_points_are_refused(points, directions, message):
+    with pytest.raises(ValueError, match=message):
+        DirectPlan(kind="points", points=((0.1, 0.0, 0.0),) * points, directions=directions)

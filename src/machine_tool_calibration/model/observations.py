@@ -92,8 +92,7 @@ class Observations:
         """
         here = self.readings.column(axis)
         low, high = (self.covered or {}).get(axis, (float(here.min()), float(here.max())))
-        travel = {name.lower(): ends for name, ends in self.session.description.machine.travel.items()}
-        first, last = travel.get(axis, (low, high))
+        first, last = self.session.description.machine.travel.get(axis, (low, high))
         covered = first <= low and high <= last and high - low >= _COVERED_SHARE * (last - first)
         return (first, last) if covered else (low, high)
 

@@ -13,6 +13,7 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
+from machine_tool_calibration.methods.map_comparison import common_points, states
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
 from machine_tool_calibration.planning.dominant import angular_size, expected_model
@@ -87,6 +88,10 @@ def outlooks(
         except (CalibrationError, np.linalg.LinAlgError):
             continue
         observations = joint.fits[k].model.observations
+        # A map of several sessions gets places more.
+        after = np.full_like(now, np.nan)
+        mine, theirs = common_points(*(states(own.points, own.content) for own in (published, error_map)))
+        after[mine] = error_map.uncertainty[theirs]
         new = observations.readings.row >= option.first_row
         found = Outlook(
             option.measure if labels is None else f"{labels[k]}: {option.measure}",
@@ -96,7 +101,7 @@ def outlooks(
             # What the datum fixes is known before and after, and what a budget adds to the readings stays.
             np.sqrt(
                 np.maximum(published.uncertainty**2 - read**2, 0.0)
-                + (read * np.divide(error_map.uncertainty, now, out=np.ones_like(now), where=now != 0.0)) ** 2
+                + (read * np.divide(after, now, out=np.ones_like(now), where=now != 0.0)) ** 2
             ),
             option.seconds,
             option.aside,

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # Share of the drawn radius that the largest deviation takes.
 _SHARE = 0.35
 _EDGE = 1.1 + _SHARE
+# Step between readings from which the arc has a gap, rad, and over the usual one.
+_GAP, _STEPS_OF_A_GAP = 0.2, 3.0
 _SHOWN = ("G_ccw", "G_cw", "G_b", "H")
 
 
@@ -63,7 +65,8 @@ def _draw(panel: Axes, circles: Sequence[Mapping[str, Any]], largest: float) -> 
         radius = 1.0 + _SHARE * deviation / largest
         arrow = "↺" if circle["way"] == "ccw" else "↻"
         # A gap of the arc stays open.
-        broken = np.diff(angle, prepend=angle[:1]) > 0.2
+        steps = np.diff(angle, prepend=angle[:1])
+        broken = steps > max(_GAP, _STEPS_OF_A_GAP * float(np.median(steps)))
         radius = np.where(broken, np.nan, radius)
         panel.plot(radius * np.cos(angle), radius * np.sin(angle), color=color, linewidth=1.2, label=arrow)
     first, second = circles[0]["plane"]

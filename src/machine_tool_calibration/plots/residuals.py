@@ -33,7 +33,7 @@ _LABELS = {
     **{name: (f"{name}, mm", 1e3) for name in "xyz"},
     **{name: (say(f"picture.{name}"), 1e3) for name in ("path", "displacement")},
     **{name: (say(f"picture.{name}"), _DEGREES) for name in ("azimuth", "elevation", "normal")},
-    "c": ("c, °", _DEGREES),
+    **{name: (f"{name}, °", _DEGREES) for name in "abc"},
     "order": (say("picture.order"), 1.0),
     "time": (say("picture.time"), 1.0 / 60.0),
     "air_pressure": (say("picture.air_pressure"), 1e-2),
@@ -129,7 +129,7 @@ def _approach_label(name: str) -> tuple[str, float]:
     axis = name[4:5]
     if " along " not in name:
         return say("picture.approach", axis=axis), 1.0
-    kind, factor = ("arm", 1e3) if axis == "c" else ("share", 1.0)
+    kind, factor = ("arm", 1e3) if axis in "abc" else ("share", 1.0)
     return say(f"picture.approach_{kind}", axis=axis), factor
 
 

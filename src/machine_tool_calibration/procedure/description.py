@@ -101,6 +101,8 @@ class Path(Record):
     def _check(self) -> Path:
         if (self.grid is None) == (self.points is None):
             raise ValueError("must have either grid or points")
+        if self.points is not None and not all(self.points):
+            raise ValueError("points must each name an axis")
         for number, point in enumerate(self.points or ()):
             if point.keys() != (self.points or ())[0].keys():
                 raise ValueError(f"points[{number}] must name the same axes as points[0]")

@@ -73,6 +73,7 @@ class Sequencer:
         """Begin with the first step; `here` is where the axes stand, if that is known."""
         # the clock may not show yet when the axes were stopped, and a command is known by its stamp
         self.done, self._floor = 0, max(now, self._floor)
+        self._recoveries = self._unstable = 0
         self._group, self._datums, self._here = DatumGroup(), 0, here
         self.counters, self.origin = Counters(), self._floor
         self.state, self.message = State.RUNNING, "measuring"

@@ -130,13 +130,19 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
         angles = forth[::-1] if back else forth
         if procedure.path.both_ways:
             angles = [*angles, *angles[::-1]]
-        sense = {axis: -1.0 if back else 1.0}
+        sense = _first_sense(angles)
         if procedure.path.targets == "at_every_angle":
             places = [angle for angle in angles for _ in marks]
             runs.append((setup.id, repeat, [*marks] * len(angles), places, sense))
         else:
             runs += [(setup.id, repeat, [mark] * len(angles), angles, sense) for mark in marks]
     yield from _steps(procedure, runs, points=True)
+
+
+def _first_sense(way: Sequence[Position]) -> dict[str, float]:
+    """Sense in which each axis goes on from the first position of a way: upwards where it stays."""
+    moves = {axis: (place[axis] - way[0][axis] for place in way) for axis in way[0]}
+    return {axis: next((np.sign(move) for move in own if move), 1.0) for axis, own in moves.items()}
 
 
 def direct_steps(procedure: Procedure) -> Iterator[Step]:
@@ -146,7 +152,7 @@ def direct_steps(procedure: Procedure) -> Iterator[Step]:
     _ = session.sense  # refused here, and not after the first reading
     forth = targets_of(procedure)
     each = product(session.setups, range(session.repeats))
-    runs = [(setup.id, repeat, None, [*forth, *forth[::-1]], dict.fromkeys(forth[0], 1.0)) for setup, repeat in each]
+    runs = [(setup.id, repeat, None, [*forth, *forth[::-1]], _first_sense(forth)) for setup, repeat in each]
     yield from _steps(procedure, runs, points=False, datum_per_run=False)
 
 

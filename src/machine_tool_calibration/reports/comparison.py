@@ -140,7 +140,7 @@ _TOGETHER = 0.9
 _SAYS_NOTHING, _FEWEST_GROUPS = 0.05, 1
 _MOST_PARTS, _MOST_LABELS, _MOST_REGIONS = 12, 5, 3
 # Names and factors of positions for people.
-_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.0 / np.pi)}
+_UNITS = dict.fromkeys("xyz", ("mm", 1e3)) | dict.fromkeys("abc", ("°", 180.0 / np.pi))
 
 
 def mark_not_determined(
@@ -164,7 +164,7 @@ def _uncertain(name: str, factor: float = _MICRO) -> Callable[[_Row], str]:
 
 def _displacement(row: _Row) -> str:
     text = _uncertain("displacement")(row)
-    return text if row["displacement"] is None else f"{text} {'µrad' if row['axis'] == 'c' else 'µm'}"
+    return text if row["displacement"] is None else f"{text} {'µrad' if row['axis'] in 'abc' else 'µm'}"
 
 
 def _position(row: _Row) -> str:

@@ -110,7 +110,10 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
         typical=lambda one: _plan_u(found, one[1].typical),
     )
     before, after = found.present.largest, found.best.largest
-    change = say("best_plan.smaller", percent=f"{100.0 * (1.0 - after / before):.0f}") if np.isfinite(before) else ""
+    change: str = ""
+    if np.isfinite(before):
+        less = 100.0 * (1.0 - after / before)
+        change = say(f"best_plan.{'smaller' if less >= 0.0 else 'larger'}", percent=f"{abs(less):.0f}")
     if found.bound > 0.0:
         least = _plan_u(found, found.bound)
         if not np.isfinite(before):

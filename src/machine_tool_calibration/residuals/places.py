@@ -31,7 +31,7 @@ def alike_beside_p(fit: Fit) -> float | None:
     if not _FEWEST_PLACES <= len(first) <= _MOST_PLACES:
         return None
     seen = [np.round(along * 1e6) for along in observations.direction[first].T]
-    seen += [columns[name][first] for name in ("dir_x", "dir_y", "dir_z", "dir_c") if name in columns]
+    seen += [columns[name][first] for name in (f"dir_{axis}" for axis in "xyzabc") if name in columns]
     kind = groups(observations.readings.setup[first], *seen)
     where = observations.position[first]
     mean = mean - (np.bincount(kind, mean) / np.bincount(kind))[kind]

@@ -55,13 +55,23 @@ About = Annotated[dict[str, Any], AfterValidator(_check_about)]
 """Free descriptive data: nested texts, as they stand in the file."""
 
 
+def _by_small_letters(axes: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What is said of axes, by their names as columns have them."""
+    if axes is not None and len({name.lower() for name in axes}) < len(axes):
+        raise ValueError(f"names an axis twice: {', '.join(axes)}")
+    return None if axes is None else {name.lower(): own for name, own in axes.items()}
+
+
 class Machine(Record):
     """The machine tool's chain and travel."""
 
     chain: str  # axes from workpiece to tool in the order of ISO 10791, such as `w-C-b-Y-X-Z-t`
-    travel: dict[str, Vector2] = Field(default_factory=dict)  # lower and upper end of each axis, m or rad
+    # lower and upper end of each axis, m or rad
+    travel: Annotated[dict[str, Vector2], AfterValidator(_by_small_letters)] = Field(default_factory=dict)
     # nodes of the error tables of each axis, m (probing)
-    table_grid: dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None = None
+    table_grid: Annotated[
+        dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None, AfterValidator(_by_small_letters)
+    ] = None
     # sense in which the workpiece turns, seen from +Z, when C is commanded positive: -1 clockwise (probing), +1
     # counter-clockwise
     rotation_sign: Literal[-1, 1] | None = None

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session of an instrument that reads deviations directly."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, Positive
@@ -56,6 +56,15 @@ class DirectPlan(Plan):
     pause: Pause = 0.0
     noise: Positive = 2e-7
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        points, directions = (len(own) if own else 1 for own in (self.points, self.directions))
+        if points != directions and 1 not in (points, directions):
+            raise ValueError(f"{points} points and {directions} directions: as many of both, or one of either")
+        if any(not any(direction) for direction in self.directions or ()):
+            raise ValueError("a direction must not be zero")
+        return self
+
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the axes that hold all points and zero, m."""
         return spanned(self.run()[0])
@@ -99,7 +108,7 @@ class DirectPlan(Plan):
         position, sense = points[index], senses[index]
         time = ordered_times(setup, self.interval, self.pause)
         if self.kind not in ("iso230_2", "straightness"):  # readings at the same point are taken together
-            visit = blocks(setup, *np.round(position.T * 1e9).astype(np.int64))
+            visit = blocks(setup, repeat, *np.round(position.T * 1e9).astype(np.int64))
             time = visit * self.interval + setup * self.pause
         direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
         if self.kind == "iso230_2":  # each run overruns its ends: every position is approached in the run's direction

@@ -159,7 +159,7 @@ class ProbingPlan(Plan):
 
     method: Literal["probing"] = "probing"
     part: Literal["cross", "pins", "cam", "disc"] = "cross"  # `cross`, `pins`, `cam` or `disc`
-    points: tuple[PartPoint, ...] | None = None  # points of another part
+    points: Annotated[tuple[PartPoint, ...], Field(min_length=1)] | None = None  # points of another part
     angles: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None  # commanded angles of C, rad
     grid: Annotated[tuple[Finite, ...], Field(min_length=2)] | None = None  # nodes of the error tables of X and Y, m
     form: Annotated[float, Field(ge=0)] = 3e-6  # standard deviation of each point's form error, m

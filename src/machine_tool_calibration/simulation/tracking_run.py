@@ -51,7 +51,8 @@ class TrackingPlan(plan.Plan, Pointer):
     x: Line | None = None
     y: Line | None = None
     z: Line | None = None
-    points: tuple[plan.Vector3, ...] | None = None  # targets one by one instead of a grid, m
+    # targets one by one instead of a grid, m
+    points: Annotated[tuple[plan.Vector3, ...], Field(min_length=1)] | None = None
     # the estimated stations are off by this (standard deviation per coordinate), m
     station_uncertainty: NotNegative = 1.2e-5
     # every second repeat runs backwards (`alternate`), or all run alike (`same`)

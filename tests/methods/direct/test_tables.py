@@ -319,3 +319,18 @@ def test_a_turn_about_where_all_lines_of_sight_meet_is_not_told(direct: SimpleNa
     read = sight @ np.array([0.02, -0.01, 0.005]) + 2e-3 * rng.normal(size=49)
     found = identify(direct.written(place, sight, read, datum="rigid", sigma=2e-3, terms=["EXX"]))
     assert found.rms_residual < 2.5e-3 and not found.rejected
+
+
+def test_levels_that_no_line_connects_are_said_to_be_groups(direct: SimpleNamespace) -> None:
+    """Four marks by two lines, two by another one: each group has a zero of its own."""
+    at = np.column_stack([np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.4, 0.5]), np.zeros((7, 2))])
+
+    def datum(*setup: int) -> str:
+        session = direct.written(
+            _twice(at), np.tile(X, (14, 1)), _twice(1e-6 * np.arange(7.0)),
+            setup=[*setup, *setup], setups=("A", "B", "C"), datum="offset",
+        )  # fmt: skip
+        return identify(session, model="free").fit.model.datum
+
+    assert "2 groups of 4 and 2 that no setup connects" in datum(0, 0, 0, 1, 1, 2, 2)
+    assert "groups" not in datum(0, 0, 0, 1, 1, 1, 1)

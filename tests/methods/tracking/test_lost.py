@@ -18,6 +18,10 @@ from machine_tool_calibration.methods.tracking.datum import MultilaterationPart
 from machine_tool_calibration.model.model import assemble
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import StandardUncertainty
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Readings, Session
+
+from .conftest import motions
 
 FIVE = ((-0.4, -0.3, -0.1), (0.8, -0.2, 0.0), (0.1, 0.9, -0.1), (0.3, 0.2, 1.1), (0.9, 0.9, 0.5))
 
@@ -370,3 +374,28 @@ def test_ranges_that_are_decimetres_off_converge(simulated, seed):
     rough = replace(session, description=session.description.model_copy(update=said)).with_readings(readings)
     solution = solve(assemble([build_model(rough)[0]]).problem)
     assert solution.chi_square < 1.5 * solution.degrees_of_freedom
+
+
+def test_pillars_that_are_stations_and_targets_of_one_another():
+    """A trilateration net: no station reads itself, and the place of one is that of the others' target."""
+    rng = np.random.default_rng(4)
+    pillars = np.round(rng.uniform(-2.0, 2.0, (7, 2)), 4)
+    true = pillars + 1e-5 * rng.normal(size=(7, 2))
+    one, other = np.array([(i, j) for i in range(7) for j in range(7) if i != j]).T
+    distance = np.linalg.norm(true[one] - true[other], axis=1)
+    first = distance[np.searchsorted(one, np.arange(7))]
+    description = {
+        "format": "mtcal-session/1", "method": "tracking_interferometer", "machine": {"chain": "w-X-Y-b-t"},
+        "standard_uncertainty": {"displacement": 1e-6}, "dimension": 2, "pointing": "tracking",
+        "setups": [{"id": f"P{k}", "position": [*place, 0.0], "position_uncertainty": 1e-4}
+                   for k, place in enumerate(pillars.tolist())],
+    }  # fmt: skip
+    row = np.arange(len(one))
+    columns = dict(zip("xy", pillars[other].T, strict=True))
+    readings = Readings(one, 0 * row, distance - first[one], columns, {}, row)
+    found = identify(Session(describe(description, "session.yaml"), readings, "net"))
+    assert found.rms_residual < 1e-9
+    moved = motions(found.error_map.points[:, :2], pillars.mean(axis=0)).reshape(-1, 3)
+    order = [int(np.argmin(np.linalg.norm(pillars - place, axis=1))) for place in found.error_map.points[:, :2]]
+    off = (found.error_map.error[:, :2] - (true - pillars)[order]).ravel()
+    assert np.abs(off - moved @ np.linalg.lstsq(moved, off, rcond=None)[0]).max() < 1e-8

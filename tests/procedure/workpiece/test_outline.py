@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Straight, join, probe_points, reachable
+from machine_tool_calibration.procedure.workpiece.outline import (
+    Arc,
+    Contour,
+    Straight,
+    join,
+    polygon,
+    probe_points,
+    reachable,
+)
 
 
 def square(half=0.05, clockwise=False):
@@ -92,3 +100,10 @@ def test_stylus_does_not_reach_into_corners():
     assert np.array_equal(kept, corner >= 0.004 - 1e-6)  # from other walls than the one that it touches
     block = probe_points(contour, "inside", 0.001)
     assert reachable(block, contour.segments, stylus_radius=0.003).all()
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_corners_that_span_nothing_are_refused(closed):
+    corners = [(0.0, 0.0), (0.1, 0.0)] if closed else [(0.0, 0.0), (0.0, 0.0)]
+    with pytest.raises(SessionError, match="three different corners"):
+        probe_points(polygon(corners, closed=closed), "left", 0.008)

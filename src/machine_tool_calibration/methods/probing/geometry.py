@@ -78,9 +78,9 @@ def table_nodes(machine: Machine, axis: str, reached: Array) -> tuple[Array, Arr
     nothing is assumed of the machine where the grid says nothing. Without a grid its travel is divided evenly.
     """
     tables = machine.table_grid or {}
-    declared = tables.get(axis.lower(), tables.get(axis))
+    declared = tables.get(axis.lower())
     if declared is None:
-        travel = machine.travel.get(axis.lower(), machine.travel.get(axis))
+        travel = machine.travel.get(axis.lower())
         low, high = travel if travel is not None else (float(reached.min()), float(reached.max()))
         declared = tuple(np.linspace(low, high if high > low else low + 1.0, _NODES))
     grid = np.array(declared) + 0.0  # no negative zero

@@ -194,6 +194,9 @@ def probe_points(contour: Contour, material: Material, spacing: float) -> Touche
         raise SessionError(f"an outline of more than {_MOST_POINTS} points: is the spacing of {spacing:g} m right?")
     if material in ("inside", "outside") and not contour.is_closed:
         raise SessionError(f"an open outline has no {material}: say whether its material is left or right of it")
+    flat = contour.is_closed and all(isinstance(segment, Straight) for segment in contour.segments)
+    if len(contour.segments) < (3 if flat else 1):
+        raise SessionError("an outline needs three different corners, an open one two")
     side = material
     if material in ("inside", "outside"):
         side = "left" if (material == "inside") == (contour.area > 0) else "right"

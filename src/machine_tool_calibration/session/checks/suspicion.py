@@ -92,7 +92,8 @@ def _approached(session: Session) -> Iterator[str]:
     columns = session.readings.columns
     for name in [] if "point" in session.readings.labels else [n for n in columns if f"dir_{n}" in columns]:
         move, sense = np.sign(np.round(np.diff(columns[name]), 9)), columns[f"dir_{name}"][1:]
-        opposite, n = int(np.sum(sense == -move)), int(np.sum((move != 0.0) & (sense != 0.0)))
+        told = (move != 0.0) & (sense != 0.0)
+        opposite, n = int(np.sum(told & (sense == -move))), int(told.sum())
         # From one side alone many machines approach whichever way they come.
         if n >= _FEWEST_MOVES and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
             yield say("suspicion.approach", column=name, n=opposite, count=n)

@@ -174,8 +174,7 @@ def _environment(session: Session, place: Place) -> None:
 
 
 def _bounds(session: Session, axis: str) -> tuple[float, float] | None:
-    travel = session.description.machine.travel
-    return travel.get(axis) or travel.get(axis.upper())
+    return session.description.machine.travel.get(axis)
 
 
 def _largest(session: Session, place: Place, names: Iterable[str]) -> Iterator[tuple[str, float, str]]:
