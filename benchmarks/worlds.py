@@ -20,8 +20,10 @@ from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.direct.model import DirectModel
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
@@ -107,10 +109,15 @@ def with_change(session: Session, change: Array | float) -> Session:
 
 
 def least_squares(session: Session, effects: Sequence[str] = ()) -> FittedSessions:
-    """The default model, all readings, nothing else."""
+    """The default model, all readings with their declared uncertainty, nothing else."""
     model, name = build_model(session)
-    joint = fit_models([add_effects(model, find_effects(effects)) if effects else model])
+    joint = fit_models([as_declared(add_effects(model, find_effects(effects)) if effects else model)])
     return FittedSessions(joint, None, (name,), tuple(effects))
+
+
+def as_declared(model: MethodModel) -> MethodModel:
+    """The model without noise of their own of directions and setups, of which readings without noise tell nothing."""
+    return replace(model, noise=None) if isinstance(model, DirectModel) else model
 
 
 def gain(session: Session, effect: str) -> float:
@@ -196,7 +203,7 @@ def hidden_signals(
     Raises:
         CalibrationError: there are not so many.
     """
-    fit = fit_models([build_model(clean)[0]]).fits[0]
+    fit = fit_models([as_declared(build_model(clean)[0])]).fits[0]
     taken = {term.name.rsplit(".", 1)[-1] for term in fit.model.terms}
     out: dict[str, Array] = {}
 

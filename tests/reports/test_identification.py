@@ -6,6 +6,7 @@ One scatter is said with one number, and what runs share is not said to be what 
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.compare import compare
@@ -19,6 +20,7 @@ from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
     group_by_reason,
+    parameters_table,
     readings_set_aside,
     session_headline,
     spread_words,
@@ -31,6 +33,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import words
 
+from .. import plates
 from ..told import keys
 
 RUN: dict[str, Any] = {
@@ -171,3 +174,31 @@ def test_setups_of_which_nothing_was_read_are_not_counted() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=1)).session
     one = session.with_readings(session.readings.select(session.readings.setup == 0))
     assert f"in 1 setup ({session.setup_ids[0]})" in session_headline(one)
+
+
+def test_sizes_that_are_drawn_to_usual_ones_are_said_beside_those_that_the_residual_belongs_to() -> None:
+    """A drift of a third of a metre an hour, in readings that scatter by millimetres."""
+    rng, time = np.random.default_rng(0), np.linspace(0.0, 90.0, 40)
+    columns = {key: np.zeros(40) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(40), "time": time}
+    drifted = columns | {"displacement": -1e-4 * time + 4e-3 * rng.normal(size=40)}
+    result = identify(plates.session(drifted, 1e-3, "offset"), effects=["linear_drift"])
+    note = parameters_table(result.document(), result.joint).note
+    assert note.startswith("least squares alone would give linear_drift.r = -3")
+    sharp = columns | {"displacement": -1e-9 * time + 1e-9 * rng.normal(size=40)}
+    result = identify(plates.session(sharp, 1e-9, "offset"), effects=["linear_drift"])
+    assert parameters_table(result.document(), result.joint).note == ""
+
+
+def test_operators_that_differ_at_the_same_places_are_no_scatter_of_the_part() -> None:
+    """Three operators read ten parts twice: what one of them sees otherwise is of part and operator."""
+    rng = np.random.default_rng(2)
+    setup, part = (k.ravel() for k in np.meshgrid(np.repeat([0, 1, 2], 2), np.arange(10), indexing="ij"))
+    form, seen = 200e-6 * rng.normal(size=10), 90e-6 * rng.normal(size=(3, 10))
+    columns = {"x": 0.01 * part} | {key: 0.0 * part for key in ("y", "z", "gx", "gy")} | {"gz": np.ones(60)}
+    columns["displacement"] = form[part] + seen[setup, part] + 35e-6 * rng.normal(size=60)
+    session = plates.session(
+        columns, 40e-6, "offset", ["EZX"], np.tile(np.repeat([0, 1], 10), 3), "a", "b", "c", setup=setup
+    )
+    text = " ".join(verdict_words(diagnose(session), {}, Advice()))
+    assert "the same place differs by more from setup to setup" in text
+    assert "the scatter of the part" not in text

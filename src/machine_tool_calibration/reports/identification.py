@@ -18,6 +18,7 @@ from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result, fit_quality, only_if_right, scatter_p_value
 from machine_tool_calibration.reports.goodness import each_words, effect_words, fit_words, free_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
+    MOST_NAMED,
     as_exact,
     declared_words,
     expanded_text,
@@ -310,6 +311,20 @@ def parameters_table(document: Mapping[str, Any], fit: JointFit, most: int | Non
         texts = value_and_uncertainties(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
         rows.append((name, *texts, "" if what == name else what))
     left = len(single) - len(rows)
-    note = say("text.more_with_json", n=left) if left else ""
+    notes = [say("text.more_with_json", n=left)] if left else []
+    if drawn := list(_drawn_to_usual_sizes(document, fit)):
+        notes.append(say("result.drawn", sizes=together(drawn[:MOST_NAMED], ", ")))
     columns = heads("name", "value", "u1", "U2", "unit", "what_it_is")
-    return TextTable(say("result.parameters"), columns, tuple(rows), note)
+    return TextTable(say("result.parameters"), columns, tuple(rows), together(notes, "; "))
+
+
+def _drawn_to_usual_sizes(document: Mapping[str, Any], fit: JointFit) -> Iterator[str]:
+    """Sizes of effects by least squares alone from which the published ones are farther off than these are certain."""
+    alone = dict(zip((p.name for p in fit.assembly.parameters), fit.solution.theta.tolist(), strict=True))
+    for entry in document["parameters"]:
+        unknown, u = fit.assembly.unknowns[entry["name"]], entry["standard_uncertainty"]
+        if unknown.kind is not Kind.EFFECT or unknown.reference != 0.0 or entry["value"] is None or u is None:
+            continue
+        size = alone[entry["name"]]
+        if abs(size - entry["value"]) > u:
+            yield f"{entry['name']} = {quantity(size, entry['unit'])}"

@@ -27,6 +27,8 @@ _NO_NOISE = 10.0
 # Degrees of freedom of a group below which it has the scatter of all; probability that all are alike from which they
 # are taken to be.
 _FEWEST, _ALIKE = 2.0, 0.99
+# Scatter over the declared uncertainty that is no noise of an instrument: such readings were calculated.
+_NOTHING = 0.01
 # Ratio of noise from which it is told.
 _DIFFER = 1.2
 # Variances over that of all, and their prior: half of them within a factor of four.
@@ -61,6 +63,7 @@ def relative_noise(residual: Array, left: Array, ways: list[IntArray], least: fl
         ways: the groups (n,) that may differ, each number from 0 on.
         least: the scatter of rounding, over the declared uncertainty.
     """
+    least = max(least, _NOTHING)
     logs, variances = [np.log1p(-priors.OWN_NOISE)], [np.ones(len(residual))]
     for group in ways:
         log_evidence, variance = _of_groups(residual, left, group, least)
