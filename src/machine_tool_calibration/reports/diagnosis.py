@@ -16,6 +16,7 @@ from machine_tool_calibration.reports.diagnosis_document import screened_sizes, 
 from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
+    NOT_DETERMINED,
     duration,
     micrometres,
     probability,
@@ -200,7 +201,7 @@ def _outliers(diagnosis: Diagnosis) -> TextTable:
         sorted(diagnosis.gross_errors, key=lambda one: one.row),
         say("found.note_outliers"),
         row=lambda one: str(one.row),
-        times_expected=lambda one: f"{one.studentized:+.1f}",
+        times_expected=lambda one: NOT_DETERMINED if one.deviation is None else f"{one.studentized:+.1f}",
         deviation_um=lambda one: micrometres(one.deviation, signed=True),
     )
 

@@ -52,6 +52,8 @@ from machine_tool_calibration.session.session import Session
 
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
 _COURSE = 3e-4
+# Scatter of what all others predict of a reading, over its own, from which they tell nothing of it.
+_UNTOLD = 100.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Outlier:
 
     row: int  # its number in the recording
     studentized: float  # its predicted residual: deviation from what all others predict, over its standard deviation
-    deviation: float  # that deviation, m
+    deviation: float | None  # that deviation, m; None where all others tell nothing of it
     reason: str = "it does not belong to the rest"  # in words
     ambiguous: bool = False  # whether it, or another one that was set aside with it, is wrong
 
@@ -331,7 +333,8 @@ class _Search:
                 words += " and nothing tells which is right"
             if not left[near[k]]:
                 words += "; no other reading of its place is left"
-            out.append(Outlier(int(rows[k]), times, deviation, words, ambiguous=int(k) in alike))
+            told = deviation if fit.spread[k] < _UNTOLD else None
+            out.append(Outlier(int(rows[k]), times, told, words, ambiguous=int(k) in alike))
         return out
 
 

@@ -226,6 +226,6 @@ def merged(axis: AxisMotion) -> dict[str, Table]:
             near = np.abs(fine[:, None] - nodes).min(axis=1) < (fine[1] - fine[0]) / 2.0
             nodes = np.sort(np.concatenate([nodes, fine[~near]]))
             kinds = kinds & {"periodic"} if len(kinds) == 1 else set()
-        values = tuple(sum(table(nodes) for table in tables).tolist())
+        values = tuple(np.sum([table(nodes) for table in tables], axis=0).tolist())
         out[name] = Table(tuple(nodes.tolist()), values, next(iter(kinds), "linear"))
     return out

@@ -204,8 +204,10 @@ class ComparePage:
             return "kept: no search sets it aside"
         if number not in state.model.aside:
             return ""
-        away = state.model.found.get(number)
-        by = "by you" if away is None else f"by a search: {quantity(away, 'm')} from what all others predict"
+        away, searched = state.model.found.get(number), number in state.model.found
+        by = "by a search" if searched else "by you"
+        if away is not None:
+            by += f": {quantity(away, 'm')} from what all others predict"
         return f"{by}; its residual was {_number(self._readings.data['aside'][k])} µm"
 
     def _set_aside(self) -> None:

@@ -47,8 +47,8 @@ class Model:
     kept: frozenset[int] = frozenset()
     number: int | None = None  # in the history; None while it is not kept
     # the readings that a search found not to belong to the rest, by number: what they deviate by from what all others
-    # predict, m. The user set aside what is not among them
-    found: Mapping[int, float] = field(default_factory=dict)
+    # predict, m, None where they tell nothing of it. The user set aside what is not among them
+    found: Mapping[int, float | None] = field(default_factory=dict)
 
     @property
     def each(self) -> tuple[Comparison, ...]:
@@ -81,7 +81,7 @@ class Subject:
         """Numbers of rows of a session's recording."""
         return np.asarray(rows + self.first[session])
 
-    def deviations(self, outliers: Iterable[Iterable[Outlier]]) -> dict[int, float]:
+    def deviations(self, outliers: Iterable[Iterable[Outlier]]) -> dict[int, float | None]:
         """What the readings of each session that stand out deviate by, m, by their number."""
         every = zip(self.first, outliers, strict=True)
         return {first + outlier.row: outlier.deviation for first, own in every for outlier in own}
@@ -106,7 +106,7 @@ class Subject:
         """The readings and the model, with the effects of the user's own that are known by now."""
         return replace(model.fit.chosen, own=self.own)
 
-    def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> dict[int, float]:
+    def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> dict[int, float | None]:
         """What `mtcal identify` would set aside beside a model: see `Model.found`."""
         chosen = replace(chosen, sessions=self.without(aside, kept).sessions, own=self.own)
         return self.deviations(own.outliers for own in gross_errors(chosen))
@@ -125,7 +125,7 @@ class Subject:
         chosen: FitRequest,
         aside: frozenset[int],
         kept: frozenset[int],
-        found: Mapping[int, float] | None = None,
+        found: Mapping[int, float | None] | None = None,
     ) -> Model:
         """A model, fitted: it has in `words` what the one before has not; a ModelError if the data does not allow it.
 
@@ -138,7 +138,9 @@ class Subject:
         step = Step(before.step if before else None, words, chosen, result, rows)
         return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept, found=found or {})
 
-    def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str], found: Mapping[int, float]) -> list[Model]:
+    def on_the_way(
+        self, entries: Sequence[Entry], prints: Sequence[str], found: Mapping[int, float | None]
+    ) -> list[Model]:
         """Models of a history, each made from the one before; `prints` are fingerprints of the sessions.
 
         `found` (see `Model.found`) is that beside the first model. What one with effects has not set aside belongs to
