@@ -243,7 +243,7 @@ def residual_table(fit: Fit) -> pd.DataFrame:
         "measured": readings.displacement,
         "predicted": fit.predicted,
         "residual": fit.residuals,
-        "u_declared": sigma,
+        "u_declared": fit.model.declared_sigma,
         "leverage": own,
         "studentized": studentized,
     }

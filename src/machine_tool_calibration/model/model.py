@@ -221,6 +221,11 @@ class MethodModel(ABC):
 
     @property
     def sigma(self) -> Array:
+        """(n,) standard uncertainty by which each reading counts, m: the declared one."""
+        return self.declared_sigma
+
+    @property
+    def declared_sigma(self) -> Array:
         """(n,) declared standard uncertainty of each reading, m."""
         session, readings = self.observations.session, self.observations.readings
         declared = session.description.standard_uncertainty

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
@@ -69,15 +70,29 @@ def test_what_each_direction_scatters_by_is_said() -> None:
     assert "µm along x, " in goodness_of_fit(document)
 
 
-def test_setups_that_scatter_differently() -> None:
-    """Of one place, so that setups cannot be told by places: 1, 1 and 30 µm."""
+@pytest.fixture(scope="module")
+def three_setups() -> Session:
+    """Of one place, so that setups cannot be told by places: they scatter by 1, 1 and 30 µm."""
     rng, setup = np.random.default_rng(1), np.repeat([0, 1, 2], 12)
     columns = {key: np.zeros(36) for key in "xyz"} | {"gx": np.ones(36), "gy": np.zeros(36), "gz": np.zeros(36)}
     columns["displacement"] = np.array([1e-6, 1e-6, 30e-6])[setup] * rng.normal(size=36)
-    session = plates.session(columns, 1e-6, "offset", (), None, "a", "b", "c", setup=setup.tolist())
-    found = {p.name: p.standard_uncertainty for p in identify(session).parameters}
+    return plates.session(columns, 1e-6, "offset", (), None, "a", "b", "c", setup=setup.tolist())
+
+
+def test_setups_that_scatter_differently(three_setups: Session) -> None:
+    found = {p.name: p.standard_uncertainty for p in identify(three_setups).parameters}
     assert max(found["a.offset"], found["b.offset"]) < 1e-6
     assert found["c.offset"] == pytest.approx(30e-6 / np.sqrt(12), rel=0.5)
+
+
+def test_what_was_declared_stays_what_it_was(three_setups: Session) -> None:
+    """Readings count by their own scatter, and are held against what was declared."""
+    found = compare(three_setups)
+    ratio = {name: np.sqrt(value) for name, value in found.setups.set_index("name")["reduced_chi_square"].items()}
+    assert max(ratio["a"], ratio["b"]) < 1.5
+    assert ratio["c"] == pytest.approx(30.0, rel=0.5)
+    assert set(found.residuals["u_declared"]) == {1e-6}
+    assert found.noise.declared == pytest.approx(1e-6)
 
 
 def test_directions_that_scatter_alike_have_one_noise() -> None:

@@ -180,8 +180,8 @@ class DirectModel(MethodModel):
 
     @property
     def sigma(self) -> Array:
-        """(n,) declared standard uncertainty of each reading, m, as far as directions and setups scatter alike."""
-        return super().sigma if self.noise is None else super().sigma * self.noise
+        """(n,) standard uncertainty by which each reading counts, m: with noise of its own direction and setup."""
+        return self.declared_sigma if self.noise is None else self.declared_sigma * self.noise
 
     def reestimated(self) -> DirectModel:
         """The noise of each direction and setup as it is beside the terms that were added."""
@@ -390,7 +390,7 @@ def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) ->
 
     Where beside it only the reversal of ISO 230-2 runs is in it, also the scatter of one position and direction.
     """
-    sigma, observations = replace(model, noise=None).sigma, model.observations
+    sigma, observations = model.declared_sigma, model.observations
     declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
     found = float(np.sqrt(fit.joint.reduced_chi_square)) * declared
     each = {} if model.noise is None else told(observations, found * model.noise)

@@ -91,11 +91,11 @@ def told(observations: Observations, noise: Array) -> dict[str, dict[str, float]
 def _of_groups(residual: Array, left: Array, group: IntArray, least: float) -> tuple[float, Array]:
     """Logarithm of the evidence of a variance of its own for each group over one for all, and these variances."""
     dof, squares = np.bincount(group, left), np.array([_squares(residual[m][left[m] > 0]) for m in _each(group)])
-    told = dof > _FEWEST
-    if not told.any():
+    enough = dof > _FEWEST
+    if not enough.any():
         return -np.inf, np.ones(len(dof))
-    dof = np.where(told, dof, 0.0)
-    variance = np.maximum(squares / np.where(told, dof, np.inf), least**2)
+    dof = np.where(enough, dof, 0.0)
+    variance = np.maximum(squares / np.where(enough, dof, np.inf), least**2)
     pooled = max(float(np.average(variance, weights=dof)), np.finfo(float).tiny)
     # (groups, variances) of groups whose variances are known by so many degrees of freedom
     logs = -0.5 * dof[:, None] * (_LOG_VARIANCES + variance[:, None] / pooled * np.exp(-_LOG_VARIANCES))
