@@ -116,7 +116,7 @@ def least_squares(session: Session, effects: Sequence[str] = ()) -> FittedSessio
 
 
 def as_declared(model: MethodModel) -> MethodModel:
-    """The model without noise of their own of directions and setups, of which readings without noise tell nothing."""
+    """The model without noise of their own of directions and setups."""
     return replace(model, noise=None) if isinstance(model, DirectModel) else model
 
 

@@ -16,6 +16,7 @@ from machine_tool_calibration.diagnosis.search.structure import structure_candid
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.residuals.noise import noise_of
@@ -363,3 +364,19 @@ def test_one_place_that_was_read_without_times_gets_an_answer() -> None:
     columns = {"x": 0 * read, "y": 0 * read, "z": 0 * read, "gx": 0 * read + 1.0, "gy": 0 * read, "gz": 0 * read}
     found = diagnose(plates.session({**columns, "displacement": read}, 6e-6, "none", ["EXX"]))
     assert found.verdict == "adequate"
+
+
+@pytest.mark.long(but=(102,))
+@pytest.mark.parametrize("seed", [102, 103, 113])
+def test_of_what_slips_nothing_is_named_whose_size_may_be_zero(seed: int) -> None:
+    """One place read again and again, which something holds no longer from some voltage on."""
+    rng, n = np.random.default_rng(seed), 200
+    voltage = 1.2 + np.arange(n) / n
+    slips = np.cumsum(np.where((rng.random(n) < 0.1) & (voltage > 1.7), 25e-6 * rng.normal(size=n), 0.0))
+    columns = {key: np.zeros(n) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(n)}
+    columns |= {"time": 30.0 * np.arange(n), "voltage": voltage}
+    columns["displacement"] = slips + 1e-6 * rng.normal(size=n)
+    found = diagnose(plates.session(columns, 1e-6, "offset"))
+    for name in found.accepted:
+        sizes = effect_estimates(found.fits[-1], [name])
+        assert any(abs(one.value) > 2.0 * one.standard_uncertainty for one in sizes), name

@@ -11,6 +11,7 @@ import pytest
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -21,6 +22,8 @@ from machine_tool_calibration.residuals.places import _beside, _moran, alike_bes
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+from .. import plates
 
 
 def fitted(plan: str, off: float, *, zone: bool = False) -> Fit:
@@ -290,3 +293,18 @@ def test_what_reproduces_is_no_gross_error() -> None:
     displacement[217] -= 17.0 * session.sigma
     alone = found_in(session.with_readings(replace(readings, displacement=displacement)))
     assert [outlier.row for outlier in alone] == [60]
+
+
+@pytest.mark.parametrize("off", [0.0, 4e-6])
+def test_repeats_of_sessions_that_contradict_each_other_scatter_as_they_do(off: float) -> None:
+    base = plates.axis(3, noise=0.0, declared=1e-6, wander=8e-6, terms=("EXX",))
+    own = [
+        base.readings.displacement + 1e-6 * np.random.default_rng(seed).normal(size=len(base.readings))
+        for seed in (1, 2)
+    ]
+    own[1] = own[1] + off * np.sin(12.0 * base.readings.columns["x"])
+    two = tuple(plates.with_columns(base, values) for values in own)
+    together = fit_sessions(FitRequest(two, ("a", "b"))).joint
+    for session, fit in zip(two, together.fits, strict=True):
+        alone = noise_of(fit_sessions(FitRequest((session,))).joint.fits[0])
+        assert noise_of(fit).from_repeats == pytest.approx(alone.from_repeats, rel=0.1)

@@ -2,7 +2,7 @@
 """Which of the probable effects the model can take, and why it cannot take the others."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -78,6 +78,12 @@ def add_probable(
                 continue
             fitted.append(wider)
             accepted.append(name)
+    # As certain as they are published, with the noise's memory: nothing is left to add that would seem to be one.
+    unsized = [name for name in accepted if not _sized(fitted[-1].joint, name, memory=True)]
+    if unsized:
+        one = _least_needed(unsized, accepted, fit_with)
+        spurious = {**spurious, one: say("undetermined.no_size_beside")}
+        return add_probable(names, search, predicted, first, fit_with, spurious, deferred)
     return Added(tuple(accepted), tuple(fitted), refused, impossible)
 
 
@@ -110,20 +116,13 @@ def _spurious(
     Of those that have no size beside the others, or that decay and take each other back, it is the one that is needed
     least; else one that decays and explains less than a special case of it. The fit `before` has none of them.
     """
-
-    def chi_square(ids: tuple[str, ...]) -> float:
-        return fit_with(ids).joint.solution.chi_square
-
-    def least_needed(some: Sequence[str]) -> str:
-        return some[0] if len(some) == 1 else min(some, key=lambda one: chi_square(tuple(n for n in names if n != one)))
-
     after, last = fit_with(names).joint, names[-1]
     decaying = [name for name in names if search.of(name).candidate.decays]
     # What no chance makes is there, though repeats leave room for a size of zero.
     sure = {last} if search.of(last).p_value <= priors.NO_CHANCE and last not in decaying else set[str]()
     unsized = [name for name in names if name not in sure and not _sized(after, name)]
     if unsized:
-        return {least_needed(unsized): say("undetermined.no_size_beside")}
+        return {_least_needed(unsized, names, fit_with): say("undetermined.no_size_beside")}
     if not decaying:
         return {}
     # What each changes that the model does not absorb, and the residual.
@@ -131,16 +130,27 @@ def _spurious(
     *squares, left = np.diag(Pool(before).screen(signals).gram)
     multiple = [name for name, own in zip(decaying, squares, strict=True) if own > priors.TAKEN_BACK**2 * left]
     if multiple:
-        return {least_needed(multiple): say("undetermined.taken_back")}
+        return {_least_needed(multiple, names, fit_with): say("undetermined.taken_back")}
     known = {f.name for f in search.findings if f.rank}
     cases = {name: sorted(known.intersection(search.of(name).candidate.contains)) for name in decaying}
     instead = {
-        (n, case): chi_square(tuple(case if k == n else k for k in names)) for n in decaying for case in cases[n]
+        (n, case): _chi_square(fit_with, (case if k == n else k for k in names)) for n in decaying for case in cases[n]
     }
     best = min(instead, key=lambda one: instead[one], default=None)
     if best is None or instead[best] >= after.solution.chi_square:
         return {}
     return {best[0]: say("undetermined.less_than_simpler", names=together(cases[best[0]], say("text.and")))}
+
+
+def _chi_square(fit_with: Callable[[tuple[str, ...]], FittedSessions], names: Iterable[str]) -> float:
+    return fit_with(tuple(names)).joint.solution.chi_square
+
+
+def _least_needed(
+    some: Sequence[str], names: Sequence[str], fit_with: Callable[[tuple[str, ...]], FittedSessions]
+) -> str:
+    """Of some of the effects in a model the one without which the others leave least."""
+    return some[0] if len(some) == 1 else min(some, key=lambda k: _chi_square(fit_with, (n for n in names if n != k)))
 
 
 def explain_nearly_all(
@@ -172,16 +182,17 @@ def better_special_cases(
         return ()
 
 
-def _sized(fit: JointFit, name: str) -> bool:
+def _sized(fit: JointFit, name: str, *, memory: bool = False) -> bool:
     """Whether the sizes of an effect, jointly, stand out of their uncertainty.
 
-    Where they do not, its coefficients describe something else, in one place or at one moment. That the noise may have
-    a memory is weighed in the search: what effects leave that are not added yet would seem to be such.
+    Where they do not, its coefficients describe something else, in one place or at one moment. The noise's `memory`
+    counts once all effects are added: what is left of those that are not would seem to be such.
     """
     published, marginal, every = fit.published, fit.marginal, enumerate(fit.assembly.parameters)
     own = [k for k, p in every if p.kind is Kind.EFFECT and p.owner == name and p.unit != "s"]
     own = [k for k in own if published.determined[k]]
-    size, covariance = published.theta[own], marginal.scatter**2 * marginal.independent[np.ix_(own, own)]
+    every_u = marginal.solution.covariance if memory else marginal.independent
+    size, covariance = published.theta[own], marginal.scatter**2 * every_u[np.ix_(own, own)]
     squares = size @ np.linalg.pinv(covariance, hermitian=True) @ size
     return not own or bool(special.chdtrc(len(own), squares) <= special.chdtrc(1, priors.STANDS_OUT**2))
 

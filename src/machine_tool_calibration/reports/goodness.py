@@ -33,7 +33,7 @@ def fit_words(reduced_chi_square: float, p_value: float) -> Said:
     return say(f"fit.{how.replace(' ', '_')}", ratio=ratio, p=chance(p_value))
 
 
-def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
+def _scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
@@ -59,8 +59,13 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     return say("fit.scatter_as_declared", both=both)
 
 
-def each_words(content: Mapping[str, Any]) -> Iterator[Said]:
-    """What directions and setups scatter by where they differ."""
+def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
+    """How the readings scatter, each direction or setup where they differ; None for other methods."""
+    whole = _scatter_words(content, p_value)
+    return None if whole is None else together((whole, *_each_words(content)))
+
+
+def _each_words(content: Mapping[str, Any]) -> Iterator[Said]:
     for way, sizes in ((content.get("scatter") or {}).get("each") or {}).items():
         ranked = sorted(sizes.items(), key=lambda one: one[1])
         shown, between = (ranked, ", ") if len(ranked) <= MOST_NAMED else ((ranked[0], ranked[-1]), " … ")

@@ -358,7 +358,8 @@ def _differ_by_setup(fit: JointFit) -> bool:
     between = of_setups = 0.0
     for own in fit.fits:
         seen, residual = own.model.observations, own.residuals
-        at, state = groups(*seen.position.T, *seen.direction.T), seen.place
+        at = groups(*seen.position.T, *seen.direction.T)
+        state = groups(at, seen.readings.setup)
         whole, each = (np.bincount(k, residual)[k] / np.bincount(k)[k] for k in (at, state))
         between, of_setups = between + float(each @ each), of_setups + float((each - whole) @ (each - whole))
     return of_setups > _MOST * between

@@ -60,7 +60,7 @@ def noise_of(fit: Fit) -> Noise:
     place, readings = fit.model.observations.place, fit.model.observations.readings
     count = np.bincount(place)
     free = int((count - 1).sum())
-    declared = rms(fit.model.sigma)
+    declared = rms(fit.model.declared_sigma)
     squares, left = _of_its_own(fit)
     p_value = float(special.chdtrc(left, squares)) if left > _LEAST_LEFT else 1.0
     if free < priors.ENOUGH_REPEATS or len(count) > _MOST_PLACES:
@@ -70,13 +70,11 @@ def noise_of(fit: Fit) -> Noise:
     # repeats would be left, of those read several times.
     for places in (np.arange(len(count)), np.flatnonzero(count > 1)):
         indicators = (place[None, :] == places[:, None]) * declared
-        projected = screen(fit, np.concatenate([*spread, indicators]))
-        scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
-        inner, right = projected.gram[:-1, :-1] / np.outer(scale, scale), projected.gram[:-1, -1] / scale
+        inner, right, free_of_model = _products(fit, np.concatenate([*spread, indicators]), left)
         k = sum(len(columns) for columns in spread)
         explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
         explained_all, rank_all = _explained(inner, right)
-        dof = left - rank_all
+        dof = free_of_model - rank_all
         if dof >= priors.ENOUGH_REPEATS and rank_all > rank_spread:
             break
     else:  # the model may be of the places themselves: then nothing is left to compare
@@ -86,6 +84,21 @@ def noise_of(fit: Fit) -> Noise:
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
     lack = float(special.fdtrc(rank_all - rank_spread, dof, lacking / pure))
     return Noise(declared, float(np.sqrt(pure)) * declared, round(dof), p_value, lack, _as_read(fit))
+
+
+def _products(fit: Fit, columns: Array, left: float) -> tuple[Array, Array, float]:
+    """Inner products of columns (k, n) of length 1 outside the model, and with the residuals; and how many these are.
+
+    Of several sessions together outside no model: what the others take off is none of this one's repeats.
+    """
+    if len(fit.joint.assembly.models) > 1:
+        scaled, left = columns / fit.model.sigma, float(columns.shape[1])
+        gram, right, squares = scaled @ scaled.T, scaled @ fit.joint.normalised(fit.index), np.sum(scaled**2, axis=1)
+    else:
+        projected = screen(fit, columns)
+        gram, right, squares = projected.gram[:-1, :-1], projected.gram[:-1, -1], projected.squares[:-1]
+    scale = np.sqrt(np.maximum(squares, np.finfo(float).tiny))
+    return gram / np.outer(scale, scale), right / scale, left
 
 
 def pooled(every: Sequence[Noise], p_value: float) -> Noise:

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Directions and setups that scatter differently: each has its own noise, and those that scatter alike have one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.identification import goodness_of_fit
+from machine_tool_calibration.session.description import StandardUncertainty
 from machine_tool_calibration.session.session import Session
 
 from ... import plates
@@ -97,7 +103,7 @@ def test_what_was_declared_stays_what_it_was(three_setups: Session) -> None:
 
 def test_directions_that_scatter_alike_have_one_noise() -> None:
     told = [build_model(read((3e-6, 3e-6), seed)[0])[0].noise for seed in range(30)]  # type: ignore[attr-defined]
-    apart = [noise for noise in told if noise is not None]
+    apart = [noise.factor for noise in told if noise is not None]
     assert len(apart) <= 6
     assert all(np.ptp(np.log(noise)) < 0.3 for noise in apart)
 
@@ -109,3 +115,58 @@ def test_rounded_readings_are_not_without_noise() -> None:
     session = plates.with_columns(session, np.where(along == 0, np.round(values, 6), values))
     each = identify(session).document()["error_map"]["scatter"]["each"]["along"]
     assert each["x"] > 1e-6 / np.sqrt(12) / 2
+
+
+def test_repeats_that_agree_better_than_declared_make_no_reading_better() -> None:
+    """Declared is what Y scatters by; X, which repeats within a tenth of it, may be off by as much everywhere."""
+    session, _ = read((2e-6, 20e-6))
+    said = session.description.model_copy(update={"standard_uncertainty": StandardUncertainty(displacement=20e-6)})
+    found = identify(replace(session, description=said))
+    assert found.fit.model.noise is None
+    assert uncertainty(found, "EXX") == pytest.approx(20e-6 / np.sqrt(REPEATS), rel=0.05)
+
+
+def test_in_several_sessions_each_reading_counts_by_its_own_noise() -> None:
+    """One session reads X well and Y badly, twice, another one both well, ten times: that one leads."""
+    off, sure = [], []
+    for seed in range(12):
+        few, many = (read(noise, 100 * seed + k)[0] for k, noise in enumerate(((1e-6, 20e-6), (1e-6, 1e-6))))
+        keep = few.readings.repeat < 2
+        few = few.with_readings(few.readings.select(keep))
+        joint = identify_sessions(FitRequest((few, many), ("few", "many")))
+        table = joint.error_map.content["tables"]["EXX"]
+        off.append(table["value"] - TRUE[0])
+        sure.append(table["value_u"])
+    assert rms(np.array(off).ravel()) < 1.25e-6 / np.sqrt(REPEATS + 2)
+    assert 0.7 < rms((np.array(off) / np.array(sure)).ravel()) < 1.3
+
+
+def test_an_effect_in_one_direction_is_none_of_its_noise() -> None:
+    """A backlash of X that every run repeats is found beside a noisy Y, and X keeps its own noise."""
+    for seed in range(3):
+        session, along = read((1e-6, 10e-6), seed)
+        sense = np.where(session.readings.repeat % 2 == 0, 1.0, -1.0)
+        moved = session.readings.displacement - np.where(along == 0, 3e-6 * sense, 0.0)
+        found = diagnose(plates.with_columns(session, moved, dir_x=sense))
+        assert found.accepted in (("backlash_x",), ("lost_motion_x",))
+
+
+def test_a_place_that_one_direction_lacks_is_not_zero() -> None:
+    session, along = read((1e-6, 1e-6))
+    lost = np.where((along == 1) & (session.readings.columns["x"] == 0.0), np.nan, session.readings.displacement)
+    found = identify(plates.with_columns(session, lost))
+    assert np.isnan(found.error_map.error[0, 1])
+    assert np.isfinite(found.error_map.error[1:, 1]).all()
+
+
+def test_directions_that_only_setups_make_differ_are_not_named() -> None:
+    """Beams at an angle to the axes have no direction of their own; what differs is the setup."""
+    rng, setup = np.random.default_rng(0), np.tile(np.repeat([0, 1], 11), 6)
+    place = np.tile(np.arange(11), 12)
+    columns = {"x": PLACES[place], "y": 0.0 * place, "z": 0.0 * place, "gz": 0.0 * place}
+    columns |= {"gx": np.where(setup == 0, 0.8, 0.6), "gy": np.where(setup == 0, 0.6, 0.8)}
+    columns["displacement"] = np.array([1e-6, 15e-6])[setup] * rng.normal(size=132)
+    session = plates.session(columns, 1e-6, "none", ["EXX", "EYX"], np.repeat(np.arange(6), 22), "A", "B", setup=setup)
+    (way,) = identify(session).document()["error_map"]["scatter"]["each"].items()
+    assert way[0] == "setup"
+    assert way[1] == {"A": pytest.approx(1e-6, rel=0.3), "B": pytest.approx(15e-6, rel=0.3)}

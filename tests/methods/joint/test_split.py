@@ -107,7 +107,7 @@ def test_an_error_motion_is_the_same_function_in_sessions_at_different_places(se
 )
 def test_the_span_is_the_travel_where_readings_fill_it(ends, expected) -> None:
     session = tracked(4, 2).session
-    travel = {} if ends is None else {"X": ends}
+    travel = {} if ends is None else {"x": ends}
     machine = session.description.machine.model_copy(update={"travel": travel})
     session = type(session)(session.description.model_copy(update={"machine": machine}), session.readings)
     assert identify(session).fit.model.observations.span("x") == pytest.approx(expected)

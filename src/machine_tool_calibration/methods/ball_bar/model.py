@@ -167,6 +167,8 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
     }
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
-        content["figures"], content["circles"] = circular_tests(seen, model.second_order, model.sigma)
+        content["figures"], content["circles"] = circular_tests(
+            seen, model.second_order, fit.scatter_factor * model.sigma
+        )
         content["figures"] += contributions(fit, model.terms, own)
     return ErrorMap(content, points, error, uncertainty, covariance)

@@ -21,15 +21,13 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.problem import Part, Problem
-from machine_tool_calibration.estimation.robust import Reweighted, robust_start, scaled_residuals
-from machine_tool_calibration.estimation.solve import solve
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
-from machine_tool_calibration.methods.direct.own_noise import far_out, relative_noise, told, ways_to_group
+from machine_tool_calibration.methods.direct.own_noise import OwnNoise, own_noise
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
@@ -39,7 +37,6 @@ from machine_tool_calibration.model.model import (
     NotDetermined,
     Parameter,
     Term,
-    assemble,
     weight_row,
 )
 from machine_tool_calibration.model.observations import Observations, first_states
@@ -51,13 +48,11 @@ from machine_tool_calibration.model.rigid_body import (
     distinct_nodes,
     map_field,
     position_errors,
+    read_nodes,
     table_datum,
     tables_content,
     thinned,
 )
-from machine_tool_calibration.residuals.gross_error_sets import HELD_OUT
-from machine_tool_calibration.residuals.leverage import hat_values
-from machine_tool_calibration.residuals.noise import rounding_of
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say, together
@@ -175,23 +170,12 @@ class DirectModel(MethodModel):
     setups: datum.SetupDatum  # what each setup leaves open
     fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
     points: tuple[PointErrors, ...] = ()  # in place of tables, errors of every place by itself
-    # (n,) noise of each reading in units of that of all; None where directions and setups scatter alike
-    noise: Array | None = None
+    noise: OwnNoise | None = None  # of directions or setups that scatter differently
 
     @property
     def sigma(self) -> Array:
         """(n,) standard uncertainty by which each reading counts, m: with noise of its own direction and setup."""
-        return self.declared_sigma if self.noise is None else self.declared_sigma * self.noise
-
-    def reestimated(self) -> DirectModel:
-        """The noise of each direction and setup as it is beside the terms that were added."""
-        ways = list(ways_to_group(self.observations))
-        if not ways:
-            return self
-        plain = replace(self, noise=None)
-        problem, least = assemble([plain]).problem, rounding_of(self.observations.readings.displacement)
-        residual, left = _beside_gross_errors(problem, far_out(robust_start(problem).residuals[0], ways[-1]))
-        return replace(self, noise=relative_noise(residual, left, ways, least / rms(plain.sigma)))
+        return self.declared_sigma if self.noise is None else self.declared_sigma * self.noise.factor
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -206,17 +190,6 @@ class DirectModel(MethodModel):
         return linear_part(self, readings.setup, reading, self.setups.columns, places, dense_index)
 
 
-def _beside_gross_errors(problem: Problem, far: BoolArray) -> tuple[Array, Array]:
-    """(n,) residuals over the declared uncertainty, and the share of each reading that the model does not follow.
-
-    Those that are `far` out (n,) have no say, and no share.
-    """
-    part, weight = problem.parts[0], np.where(far, HELD_OUT, 1.0)
-    found = solve(replace(problem, parts=[Reweighted(part, weight)]))
-    left = 1.0 - np.clip(hat_values(part, found, 0, weight), 0.0, 1.0)
-    return scaled_residuals(part, found.theta, found.local[0]), np.where(far, 0.0, left)
-
-
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """The model of a session of direct deviations: the machine errors that it names in `terms`, or `free` places.
 
@@ -225,7 +198,8 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
-    return build_direct(session, free=model == "free").reestimated()
+    built = build_direct(session, free=model == "free")
+    return replace(built, noise=own_noise(built.observations, built.declared_sigma))
 
 
 def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: bool = False) -> DirectModel:
@@ -297,7 +271,8 @@ def _datum(
 ) -> tuple[tuple[Constraint, ...], list[str], Array]:
     """Zeros and slopes of tables, as many as the readings leave open: straightness first, positioning last."""
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
-    candidates = [constraint for table in ordered for constraint in table_datum((table,))]
+    read = {term.name: read_nodes(term.columns) for term in terms}
+    candidates = [constraint for table in ordered for constraint in table_datum((table,), (read[table.name],))]
     needed, fixed = _needed(candidates, terms, setups, observed)
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]
@@ -393,7 +368,6 @@ def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) ->
     sigma, observations = model.declared_sigma, model.observations
     declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
     found = float(np.sqrt(fit.joint.reduced_chi_square)) * declared
-    each = {} if model.noise is None else told(observations, found * model.noise)
     own: dict[str, Any] = {}
     if len(runs) == len(observations.session.setup_ids) and all(np.isfinite(run["B"]) for run in runs):
         squares, dof, reversal = _by_direction(runs)
@@ -406,7 +380,7 @@ def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) ->
         "found": found,
         "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 else "declared",
         "factor": fit.scatter_factor,
-        "each": each,
+        "each": {} if model.noise is None else model.noise.each,
     }
 
 
