@@ -42,7 +42,7 @@ def test_a_size_that_others_hide_is_judged_beside_them(
     for name, answer in {"_settled": None, "_hold": None, "_explains": True}.items():
         monkeypatch.setattr(adding, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(adding, "_spurious", spurious)
-    search: Any = SimpleNamespace(of=lambda name: SimpleNamespace(plausible=True), memory=1.0)
+    search: Any = SimpleNamespace(of=lambda name: SimpleNamespace(plausible=True, p_value=0.0), memory=1.0)
     model: Any = SimpleNamespace(joint=None, error_map=None)
     added = add_probable(("a", "b", "c"), search, {}, model, lambda names: model)
     assert added.accepted == accepted

@@ -79,7 +79,8 @@ def add_probable(
             fitted.append(wider)
             accepted.append(name)
     # As certain as they are published, with the noise's memory: nothing is left to add that would seem to be one.
-    unsized = [name for name in accepted if not _sized(fitted[-1].joint, name, memory=True)]
+    unsure = [name for name in accepted if search.of(name).p_value > priors.NO_CHANCE]
+    unsized = [name for name in unsure if not _sized(fitted[-1].joint, name, memory=True)]
     if unsized:
         one = _least_needed(unsized, accepted, fit_with)
         spurious = {**spurious, one: say("undetermined.no_size_beside")}

@@ -9,8 +9,9 @@ import numpy as np
 from scipy import linalg, special
 
 from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.model.fit import Fit, screen
+from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.catalogue import spec_of
@@ -65,40 +66,31 @@ def noise_of(fit: Fit) -> Noise:
     p_value = float(special.chdtrc(left, squares)) if left > _LEAST_LEFT else 1.0
     if free < priors.ENOUGH_REPEATS or len(count) > _MOST_PLACES:
         return Noise(declared, None, free, p_value, None)
+    try:  # what other sessions say against this one is in none of its repeats
+        alone = fit if len(fit.joint.assembly.models) == 1 else fit_models([fit.model]).fits[0]
+    except ModelError:
+        return Noise(declared, None, free, p_value, None, _as_read(fit))
     spread = [family.columns() * declared for family in reproducibility(fit.model.observations)]
     # Of every place, of one reading too, so that what no model explains there does not pass for noise; where so few
     # repeats would be left, of those read several times.
     for places in (np.arange(len(count)), np.flatnonzero(count > 1)):
         indicators = (place[None, :] == places[:, None]) * declared
-        inner, right, free_of_model = _products(fit, np.concatenate([*spread, indicators]), left)
+        projected = screen(alone, np.concatenate([*spread, indicators]))
+        scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
+        inner, right = projected.gram[:-1, :-1] / np.outer(scale, scale), projected.gram[:-1, -1] / scale
         k = sum(len(columns) for columns in spread)
         explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
         explained_all, rank_all = _explained(inner, right)
-        dof = free_of_model - rank_all
+        dof = alone.solution.degrees_of_freedom - rank_all
         if dof >= priors.ENOUGH_REPEATS and rank_all > rank_spread:
             break
     else:  # the model may be of the places themselves: then nothing is left to compare
         return Noise(declared, None, free, p_value, None, _as_read(fit))
     rounding = rounding_of(readings.displacement) / declared
-    pure = max((squares - explained_all) / dof, rounding**2, 1e-12 / dof)
+    pure = max((alone.solution.chi_square - explained_all) / dof, rounding**2, 1e-12 / dof)
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
     lack = float(special.fdtrc(rank_all - rank_spread, dof, lacking / pure))
     return Noise(declared, float(np.sqrt(pure)) * declared, round(dof), p_value, lack, _as_read(fit))
-
-
-def _products(fit: Fit, columns: Array, left: float) -> tuple[Array, Array, float]:
-    """Inner products of columns (k, n) of length 1 outside the model, and with the residuals; and how many these are.
-
-    Of several sessions together outside no model: what the others take off is none of this one's repeats.
-    """
-    if len(fit.joint.assembly.models) > 1:
-        scaled, left = columns / fit.model.sigma, float(columns.shape[1])
-        gram, right, squares = scaled @ scaled.T, scaled @ fit.joint.normalised(fit.index), np.sum(scaled**2, axis=1)
-    else:
-        projected = screen(fit, columns)
-        gram, right, squares = projected.gram[:-1, :-1], projected.gram[:-1, -1], projected.squares[:-1]
-    scale = np.sqrt(np.maximum(squares, np.finfo(float).tiny))
-    return gram / np.outer(scale, scale), right / scale, left
 
 
 def pooled(every: Sequence[Noise], p_value: float) -> Noise:
