@@ -132,8 +132,15 @@ def test_a_claim_ends_with_its_context(ids: list[int]) -> None:
 
 def test_a_measurement_takes_the_id_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "17")
-    with claimed_domain() as first, claimed_domain() as second, claimed_domain(230) as third:
+    with claimed_domain() as first, claimed_domain(namespace="cell") as second, claimed_domain(230) as third:
         assert [first, second, third] == [17, 17, 230]
+        clash = pytest.raises(
+            CalibrationError, match="another measurement is running in ROS domain 17, namespace /cell"
+        )
+        with clash, claimed_domain(17, "/cell/"):
+            pass
+    with claimed_domain() as again:
+        assert again == 17
     monkeypatch.setenv("ROS_DOMAIN_ID", "")
     with claimed_domain() as first, claimed_domain() as second:
         assert first != second

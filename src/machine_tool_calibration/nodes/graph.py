@@ -256,17 +256,24 @@ _IDS = range(0, 102)
 
 
 @contextmanager
-def claimed_domain(wanted: int | None = None) -> Iterator[int]:
+def claimed_domain(wanted: int | None = None, namespace: str = "") -> Iterator[int]:
     """A domain id for a measurement, kept from others for as long as the context lasts.
 
-    The one that is wanted, whoever else uses it; by default the user's ROS_DOMAIN_ID, and else the first that no other
-    measurement on this machine has claimed. A CalibrationError: not a domain id, or none is free.
+    The one that is wanted, where no other measurement of this machine is in the same namespace; by default the user's
+    ROS_DOMAIN_ID, and else the first that no other has claimed. A CalibrationError: not a domain id, or none is free.
     """
     chosen = os.environ.get("ROS_DOMAIN_ID", "") if wanted is None else str(wanted)
     if chosen:
         if not chosen.isdigit() or int(chosen) > 232:
             raise CalibrationError(f"ROS domain id {chosen!r} is not a whole number from 0 to 232")
-        yield int(chosen)
+        space = f"/{namespace.strip('/')}"
+        if (claim := _claim(f"{int(chosen)}{space}")) is None:
+            raise CalibrationError(
+                f"another measurement is running in ROS domain {int(chosen)}, namespace {space}: both would move the "
+                "same axes; --domain-id or --namespace keeps them apart"
+            )
+        with claim:
+            yield int(chosen)
         return
     with free_domain() as domain:
         yield domain
@@ -279,14 +286,14 @@ def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
     A CalibrationError: none is free.
     """
     for domain in ids:
-        if (claim := _claim(domain)) is not None:
+        if (claim := _claim(str(domain))) is not None:
             with claim:
                 yield domain
             return
     raise CalibrationError("no ROS domain id is free on this machine; --domain-id chooses one")
 
 
-def _claim(domain: int) -> socket.socket | None:
+def _claim(domain: str) -> socket.socket | None:
     """A socket that holds a name which only one program can hold; None if another has it.
 
     The name is in the kernel and not in a folder: it is the same for every user, reaches as far as the network on which
