@@ -131,6 +131,14 @@ def test_runs_that_cannot_be_read(more: dict[str, Any], said: str) -> None:
         read("iso230_wide.csv", content)
 
 
+def test_a_position_that_stands_twice_in_a_table_of_runs_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "r.csv"
+    file.write_text("p,1 up,1 down\n0,1,2\n50,1,2\n50,1,2\n")
+    mapping = parse_mapping({**RUNS, "columns": {"position": "p"}, "units": {"position": "mm", "deviation": "um"}}, "m")
+    with pytest.raises(SessionError, match=r"r\.csv line 4: position 50 mm stands there twice, and .*r\.csv line 3"):
+        import_table(file, mapping)
+
+
 @pytest.mark.parametrize(
     ("session", "said"),
     [

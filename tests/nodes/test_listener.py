@@ -88,3 +88,15 @@ def test_an_interruption_within_a_destructor_is_not_lost(bench):
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_the_end_of_a_service_is_as_an_interruption(bench):
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        with Client(bench.domain) as client:
+            client.node.every(0.01, lambda: signal.raise_signal(signal.SIGTERM))
+            with pytest.raises(KeyboardInterrupt):
+                client.wait(lambda: False, PATIENCE)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before)

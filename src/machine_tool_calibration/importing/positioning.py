@@ -74,6 +74,7 @@ def _wide(columns: Columns) -> Series:
     if not mapping.transposed:
         columns.need(("position",), "the target position")
     position = _header(columns) if mapping.transposed else columns.filled("position")
+    _refuse_repeated(table, position, transposed=mapping.transposed)
     known = {rule.column for rule in (*mapping.columns.values(), *mapping.extras.values())}
     names = [str(name) for name in table.cells[:, 0]] if mapping.transposed else list(table.names)
     runs = mapping.runs or _named(table, [name for name in names if name and name not in known])
@@ -103,6 +104,20 @@ def _wide(columns: Columns) -> Series:
         series.append((position[order], number, up, values[order], row[order]))
     position, number, up, values, row = (np.concatenate(parts) for parts in zip(*series, strict=True))
     return position, number, up, values, row
+
+
+def _refuse_repeated(table: TextTable, position: Array, *, transposed: bool) -> None:
+    """A run comes to each position once: what stands twice is a slip, or a table that goes there and back."""
+    place = groups(np.round(position * 1e9))
+    again = np.flatnonzero(occurrence(place) > 0)
+    if len(again):
+        first = int(np.flatnonzero(place == place[again[0]])[0])
+        where = f"{table.source} line {table.header_line}" if transposed else table.where(int(again[0]))
+        also = "" if transposed else f", and {table.where(first)}"
+        raise SessionError(
+            f"{where}: position {1e3 * position[again[0]]:.6g} mm stands there twice{also}; of rows that go there and "
+            "back each is a reading of its own (layout: long)"
+        )
 
 
 def _header(columns: Columns) -> Array:

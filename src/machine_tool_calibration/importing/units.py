@@ -37,7 +37,8 @@ def spelled(unit: str) -> str:
     """The unit as it is named here; a SessionError if it is unknown."""
     name = _SPELLINGS.get(unit.strip(), unit.strip())
     if name not in UNITS:
-        raise SessionError(f"unknown unit {unit!r}; known are {', '.join(UNITS)}")
+        comma = "; decimals have a point here" if unit.startswith(",") else ""
+        raise SessionError(f"unknown unit {unit!r}{comma}; known are {', '.join(UNITS)}")
     return name
 
 

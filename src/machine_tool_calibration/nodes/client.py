@@ -57,6 +57,8 @@ _STATUSES = {
     "recorder/status": True,
     "player/status": True,
 }
+# What ends a program, and what is done by default.
+_USUAL = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
 
 class Client(AbstractContextManager["Client"]):
@@ -97,8 +99,9 @@ class Client(AbstractContextManager["Client"]):
         self._goals: dict[str, Call] = {}  # which call began a calculation
         self._spinning = self._is_interrupted = False
         is_main = threading.current_thread() is threading.main_thread()
-        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._interrupt)
+        # The end of a service or of a login (SIGTERM) is as Ctrl-C; what is ignored stays so.
+        ours = [number for number, usual in _USUAL.items() if is_main and signal.getsignal(number) is usual]
+        self._before = {number: signal.signal(number, self._interrupt) for number in ours}
         self._subscribe(self.heard)
         self.node.every(_LOOK, self._look_around)
 
@@ -122,8 +125,9 @@ class Client(AbstractContextManager["Client"]):
     def close(self) -> None:
         """Leave the graph."""
         self._over.set()
-        if signal.getsignal(signal.SIGINT) == self._interrupt:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, before in self._before.items():
+            if signal.getsignal(number) == self._interrupt:
+                signal.signal(number, before)
         if self._thread.is_alive():
             self._thread.join()
         self._executor.shutdown()

@@ -4,8 +4,6 @@
 import json
 import operator
 import shutil
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -144,7 +142,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         raise CalibrationError(f"{setting.parameters}: no such file")
     output, total = setting.output, len(plan(procedure).steps)
     nodes, begin = _nodes(setting, file, procedure), time.monotonic()
-    with _terminated_as_interrupted(), claimed_domain(setting.domain, setting.namespace) as domain:
+    with claimed_domain(setting.domain, setting.namespace) as domain:
         graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
@@ -175,19 +173,6 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         remarks=tuple(listeners.remarks),
         reached=() if stages is None else tuple(stages.reached),
     )
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM, as of a service or a login that ends, is as Ctrl-C: what was measured is kept."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

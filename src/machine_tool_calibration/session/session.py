@@ -148,7 +148,9 @@ class Session:
         """The same measurement, with rows that are known to be sound; a SessionError if it has no such row."""
         rows = frozenset(rows)
         for row in sorted(rows.difference(self.readings.row.tolist())):
-            raise SessionError(f"{self.source}: there is no row {row} to keep; rows count from 0")
+            raise SessionError(
+                f"{self.source}: there is no row {row} to keep; rows are 0 to {self.readings.row.max(initial=0)}"
+            )
         return replace(self, sound=self.sound | rows)
 
 
