@@ -16,6 +16,7 @@ from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import reading_columns, session_from_bag, session_to_bag
 from machine_tool_calibration.recording.tables import save_table, save_tables, tables
 from machine_tool_calibration.recording.writer import BagWriter
+from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import read_session, readings_frame
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Readings, Session
@@ -144,7 +145,10 @@ def test_the_last_run_counts(name: str, rows: slice, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         write(bag, first, rows=slice(0, 20))
         write(bag, last, rows=rows, at=1000)
-    assert_equal(last, session_from_bag(tmp_path / "bag"))
+    read = session_from_bag(tmp_path / "bag")
+    assert_equal(last, read)
+    told = "the recording holds another run before this one, of 20 readings, which is left out" in suspicions([read])
+    assert told == (rows.start is None)
 
 
 def damaged(tmp_path: Path, names: list[str], values: list[float]) -> str:

@@ -34,11 +34,12 @@ def session_from_bag(path: Path, topics: Mapping[str, str] | None = None, *, che
         wanted.add(labels)
     run: Collector | None = None
     kept: Mapping[str, np.ndarray] = {}
+    counts: list[int] = []
     for run, kept in _runs(bag, names, wanted, labels):  # noqa: B007 (the last one counts)
-        pass
+        counts.append(len(run))
     if run is None:
         raise RecordingError(f"{bag.path}: no readings with a session's description")
-    session = run.session(str(bag.path), check=check)
+    session = replace(run.session(str(bag.path), check=check), earlier=tuple(counts[:-1]))
     if any(len(values) != len(session.readings) for values in kept.values()):
         raise RecordingError(f"{bag.path}: {labels} does not have a text for each reading")
     if kept:

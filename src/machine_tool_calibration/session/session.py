@@ -98,6 +98,7 @@ class Session:
     source: str = "session"  # where it came from, for messages
     # rows of readings that are known to be sound: none of them is set aside, however far it stands out
     sound: frozenset[int] = frozenset()
+    earlier: tuple[int, ...] = ()  # readings of each run that a recording holds before it
     # the measurement before any reading was left out; None where none was
     recorded: Session | None = field(default=None, repr=False, compare=False)
 

@@ -29,8 +29,12 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _copied, _beside, _repeated, _approached, lambda one: spec_of(one).suspicious(one))
+    checks = (_still, _rounded, _copied, _beside, _recorded_before, _repeated, _approached, _of_method)
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
+
+
+def _of_method(session: Session) -> Iterator[str]:
+    yield from spec_of(session).suspicious(session)
 
 
 def _still(session: Session) -> Iterator[str]:
@@ -77,6 +81,12 @@ def _beside(session: Session) -> Iterator[str]:
             ends = {"low": f"{low:g}", "high": f"{high:g}", "worst": f"{worst:g}", "unit": unit}
             names = {"axis": name.upper(), "column": name.lower()}
             yield say("suspicion.off_travel", n=len(off), count=len(values), **names, **ends)
+
+
+def _recorded_before(session: Session) -> Iterator[str]:
+    """Runs of a recording that are not looked at."""
+    if earlier := session.as_recorded.earlier:
+        yield say("suspicion.earlier", n=len(earlier), readings=", ".join(map(str, earlier)))
 
 
 def _repeated(session: Session) -> Iterator[str]:
