@@ -192,8 +192,8 @@ def _sized(fit: JointFit, name: str, *, memory: bool = False) -> bool:
     published, marginal, every = fit.published, fit.marginal, enumerate(fit.assembly.parameters)
     own = [k for k, p in every if p.kind is Kind.EFFECT and p.owner == name and p.unit != "s"]
     own = [k for k in own if published.determined[k]]
-    every_u = marginal.solution.covariance if memory else marginal.independent
-    size, covariance = published.theta[own], marginal.scatter**2 * every_u[np.ix_(own, own)]
+    known = marginal.solution.covariance if memory else marginal.independent
+    size, covariance = published.theta[own], marginal.scatter**2 * known[np.ix_(own, own)]
     squares = size @ np.linalg.pinv(covariance, hermitian=True) @ size
     return not own or bool(special.chdtrc(len(own), squares) <= special.chdtrc(1, priors.STANDS_OUT**2))
 

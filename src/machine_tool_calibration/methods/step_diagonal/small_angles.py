@@ -185,7 +185,10 @@ def _shaped(root: Array, gram: Array, right: Array, variance: Array) -> _Shape:
 
 def _log_likelihood(gram: Array, right: Array, variance: Array) -> Array:
     """(s,) of each size over none, as `_Shape` has it, of independent coefficients: without their directions."""
-    factors = np.linalg.cholesky(np.eye(len(gram)) + variance[:, None, None] * gram)
+    try:
+        factors = np.linalg.cholesky(np.eye(len(gram)) + variance[:, None, None] * gram)
+    except np.linalg.LinAlgError:  # rounding of readings that are declared far too sure
+        return _shaped(np.eye(len(gram)), gram, right, variance).log_likelihood
     explained = np.array([solve_triangular(lower, right, lower=True, check_finite=False) for lower in factors])
     determinant = np.log(np.diagonal(factors, axis1=-2, axis2=-1)).sum(axis=-1)
     return np.asarray(0.5 * variance * np.sum(explained**2, axis=-1) - determinant)
