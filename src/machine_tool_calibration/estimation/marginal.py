@@ -186,13 +186,14 @@ def _noise_terms(dof: float) -> tuple[Array, Array, Array]:
 
 
 def noise_variance(squares: Array | float, dof: float) -> Array:
-    """Mean of the noise's variance, over that declared, over its prior degrees of freedom (`log_noise`).
+    """The noise's variance, over that declared, over its prior degrees of freedom (`log_noise`).
 
-    Of an inverse gamma distribution: with few degrees of freedom the mean is more than the likeliest value, as
-    Student's distribution is wider than the normal one.
+    Where the declared one need not hold it is the mean of an inverse gamma distribution: with few degrees of freedom
+    more than the likeliest value, as Student's distribution is wider than the normal one.
     """
     prior = np.array(priors.NOISE_DOF)
-    each = (prior + np.expand_dims(squares, -1)) / np.maximum(prior + dof - 2.0, 1.0)
+    known = np.where(prior > priors.HARDLY_DECLARED_DOF, dof, np.maximum(dof - 2.0, 1.0 - prior))
+    each = (prior + np.expand_dims(squares, -1)) / (prior + known)
     return np.asarray(np.sum(softmax(log_noise(squares, dof), axis=-1) * each, axis=-1))
 
 
