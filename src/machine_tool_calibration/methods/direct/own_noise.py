@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, rms
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, rms
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.noise import rounding_of
@@ -23,6 +23,9 @@ _ALONG = 0.99
 # Standard deviations from which a deviation is far out, the mean of the squares of normal numbers none of which counts
 # as farther, and the median of their size.
 _FAR, _NEAR, _MEDIAN = 2.5, 0.9776, 0.6745
+# Standard deviations, by the median, from which a reading is no noise: of three the middle one leaves nothing, so that
+# the median is too small.
+_NO_NOISE = 10.0
 # Degrees of freedom of a group below which it has the scatter of all; share by which noises are the same.
 _FEWEST, _ALIKE = 2.0, 0.01
 # Readings again in a run from which it tells what it differs by.
@@ -50,7 +53,8 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
     ways = list(_ways(observations))
     if not ways:
         return None
-    deviation, left = _about_places(observations)
+    kept = _sound(observations, ways[-1][1], declared)
+    deviation, left = _about_places(observations, kept)
     deviation = deviation / declared
     logs, variances = [np.log1p(-priors.OWN_NOISE)], list[Array]()
     for _, group, _ in ways:
@@ -87,21 +91,46 @@ def _ways(observations: Observations) -> Iterator[tuple[str, IntArray, tuple[str
         yield "setup", groups(axis + (1 + axis.max()) * setup), tuple(f"{ids[s]}, {axes[a]}" for s, a in pairs)
 
 
-def _about_places(observations: Observations) -> tuple[Array, Array]:
+def _about_places(observations: Observations, kept: BoolArray) -> tuple[Array, Array]:
     """(n,) deviations of readings from others of the same thing, m, and the share of each that tells of it.
 
-    Outside what runs of a direction differ by, which is no noise of a reading.
+    Outside what runs of a direction differ by, which is no noise of a reading; of those that are `kept` (n,) alone.
     """
     place, values = observations.place, observations.readings.displacement
     run = groups(observations.readings.repeat_of_setup, np.abs(observations.direction).argmax(axis=1))
-    count = np.bincount(place)
-    again = count[place] > 1
-    off = np.where(again, values - (np.bincount(place, values) / count)[place], 0.0)
+    count = np.bincount(place, kept)
+    again = kept & (count[place] > 1)
+    mean = np.bincount(place, kept * values) / np.maximum(count, 1.0)
+    off = np.where(again, values - mean[place], 0.0)
     repeated = np.bincount(run, again)
     differs = again & (repeated[run] >= _IN_A_RUN)
     off -= np.where(differs, (np.bincount(run, off) / np.maximum(repeated, 1.0))[run], 0.0)
     of_run = np.where(differs, 1.0 / np.maximum(repeated[run], 1.0), 0.0)
-    return off, np.where(again, np.maximum(1.0 - 1.0 / count[place] - of_run, 0.0), 0.0)
+    return off, np.where(again, np.maximum(1.0 - 1.0 / np.maximum(count[place], 1.0) - of_run, 0.0), 0.0)
+
+
+def _sound(observations: Observations, group: IntArray, least: Array) -> BoolArray:
+    """(n,) readings that are no gross errors: not far from the median of their place beside others of their group.
+
+    Of two readings of which one is wrong neither is; a scatter of `least` (n,), m, is none.
+    """
+    place, values = observations.place, observations.readings.displacement
+    size = np.abs(values - _medians(place, values)[place])
+    again = np.bincount(place)[place] > 1
+    typical = _medians(group[again], size[again]) if again.any() else np.zeros(0)
+    scale = np.pad(typical, (0, 1 + int(group.max()) - len(typical))) / _MEDIAN
+    return np.asarray(~again | (size <= _NO_NOISE * np.maximum(scale[group], least)))
+
+
+def _medians(group: IntArray, values: Array) -> Array:
+    """Median of each group of values (n,), by its number."""
+    order, count = np.lexsort((values, group)), np.bincount(group)
+    first = np.cumsum(count) - count
+    there = count > 0
+    out = np.zeros(len(count))
+    low, high = first + np.maximum(count - 1, 0) // 2, first + count // 2
+    out[there] = (values[order[low[there]]] + values[order[np.minimum(high, first + count - 1)[there]]]) / 2.0
+    return out
 
 
 def _of_groups(deviation: Array, left: Array, group: IntArray, least: Array) -> tuple[float, float, Array]:
