@@ -177,6 +177,11 @@ def orthonormal_basis(columns: Array) -> Array:
     return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)])
 
 
+def means_of(group: IntArray, values: Array) -> Array:
+    """(n,) mean of the values (n,) of each one's group (n,)."""
+    return np.asarray((np.bincount(group, values) / np.bincount(group))[group])
+
+
 def rms(values: Array) -> float:
     """Root mean square; 0 of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

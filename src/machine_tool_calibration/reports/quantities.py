@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.coverage import K
-from machine_tool_calibration.words import Said, say, together
+from machine_tool_calibration.words import TIMES, Said, say, together
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Estimate
@@ -32,10 +32,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m": ((1.0, 1.0, "m"), (1e-3, 1e3, "mm"), (0.0, 1e6, "µm")),
     "m^2": ((1e-8, 1e6, "mm²"), (0.0, 1e12, "µm²")),
     "rad": ((0.1, 1.0, "rad"), (0.0, 1e6, "µrad")),
-    "s": (
-        *((172800.0, 1 / 86400.0, "d"), (7200.0, 1 / 3600.0, "h"), (120.0, 1 / 60.0, "min")),
-        *((0.01, 1.0, "s"), (0.0, 1e3, "ms")),
-    ),
+    "s": (*((least, 1 / of, unit) for least, of, unit in TIMES), (0.01, 1.0, "s"), (0.0, 1e3, "ms")),
     "1/K": ((0.0, 1e6, "µm/(m K)"),),
     "m/K": ((0.0, 1e6, "µm/K"),),
     "rad/K": ((0.0, 1e6, "µrad/K"),),

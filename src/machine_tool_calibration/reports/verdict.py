@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import groups, rms
+from machine_tool_calibration.arrays import groups, means_of, rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
@@ -360,7 +360,7 @@ def _differ_by_setup(fit: JointFit) -> bool:
         seen, residual = own.model.observations, own.residuals
         at = groups(*seen.position.T, *seen.direction.T)
         state = groups(at, seen.readings.setup)
-        whole, each = (np.bincount(k, residual)[k] / np.bincount(k)[k] for k in (at, state))
+        whole, each = means_of(at, residual), means_of(state, residual)
         between, of_setups = between + float(each @ each), of_setups + float((each - whole) @ (each - whole))
     return of_setups > _MOST * between
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy import linalg, special
 
-from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.arrays import Array, means_of, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
@@ -123,7 +123,7 @@ def _as_read(fit: Fit) -> float | None:
     if not spec_of(observations.session).reads_machine:
         return None
     count = np.bincount(place)
-    about = values - (np.bincount(place, values) / count)[place]
+    about = values - means_of(place, values)
     return float(np.sqrt(about @ about / max(int((count - 1).sum()), 1)))
 
 

@@ -4,7 +4,7 @@
 import numpy as np
 from scipy import spatial, special
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, groups, means_of
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.observations import SAME_POSITION
 
@@ -27,14 +27,14 @@ def alike_beside_p(fit: Fit) -> float | None:
     observations = fit.model.observations
     columns, place = observations.readings.columns, observations.place
     first = np.unique(place, return_index=True)[1]
-    mean = (np.bincount(place, fit.residuals) / np.bincount(place))[place[first]]
+    mean = means_of(place, fit.residuals)[first]
     if not _FEWEST_PLACES <= len(first) <= _MOST_PLACES:
         return None
     seen = [np.round(along * 1e6) for along in observations.direction[first].T]
     seen += [columns[name][first] for name in (f"dir_{axis}" for axis in "xyzabc") if name in columns]
     kind = groups(observations.readings.setup[first], *seen)
     where = observations.position[first]
-    mean = mean - (np.bincount(kind, mean) / np.bincount(kind))[kind]
+    mean = mean - means_of(kind, mean)
     pairs = _beside(where, kind, _NEAREST * int((np.ptp(where, axis=0) > SAME_POSITION).sum()))
     if not pairs.any() or not mean.any():
         return None

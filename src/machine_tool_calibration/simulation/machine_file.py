@@ -220,12 +220,12 @@ def merged(axis: AxisMotion) -> dict[str, Table]:
             out[name] = tables[0]
             continue
         nodes = np.unique(np.concatenate([table.nodes for table in tables]))
-        kinds = {table.interpolation for table in tables}
-        if len(kinds) > 1 or len({table.nodes for table in tables}) > 1:
+        kind = tables[0].interpolation
+        if len({(table.nodes, table.interpolation) for table in tables}) > 1:
             fine = np.linspace(nodes[0], nodes[-1], _FINE)
             near = np.abs(fine[:, None] - nodes).min(axis=1) < (fine[1] - fine[0]) / 2.0
             nodes = np.sort(np.concatenate([nodes, fine[~near]]))
-            kinds = kinds & {"periodic"} if len(kinds) == 1 else set()
+            kind = "periodic" if {table.interpolation for table in tables} == {"periodic"} else "linear"
         values = tuple(np.sum([table(nodes) for table in tables], axis=0).tolist())
-        out[name] = Table(tuple(nodes.tolist()), values, next(iter(kinds), "linear"))
+        out[name] = Table(tuple(nodes.tolist()), values, kind)
     return out

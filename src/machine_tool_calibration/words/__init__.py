@@ -15,13 +15,15 @@ import yaml
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = [
-    *("LANGUAGES", "Said", "Verbatim", "Words"),
+    *("LANGUAGES", "TIMES", "Said", "Verbatim", "Words"),
     *("enumeration", "figures", "lasting", "named", "say", "together", "words"),
 ]
 
 _FILES = {file.name.removesuffix(".yaml"): file for file in resources.files(__package__).iterdir() if ".y" in file.name}
 LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
 """Codes of the languages that have a file, English first."""
+TIMES = ((172800.0, 86400.0, "d"), (7200.0, 3600.0, "h"), (120.0, 60.0, "min"))
+"""From how many seconds, of how many each, a unit of time is readable; the largest first."""
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NO_LETTERS = re.compile("[^a-z0-9]+")
 # A number with decimals: not a part of a version.
@@ -62,8 +64,7 @@ def figures(value: float, count: int = 3) -> str:
 
 def lasting(seconds: float) -> str:
     """A time with three figures, in the unit that it is readable in."""
-    least = (("d", 86400.0), ("h", 3600.0), ("min", 60.0))
-    unit, of = next((one for one in least if abs(seconds) >= 2.0 * one[1]), ("s", 1.0))
+    of, unit = next(((of, unit) for least, of, unit in TIMES if abs(seconds) >= least), (1.0, "s"))
     return f"{seconds / of:.3g} {unit}"
 
 

@@ -118,12 +118,13 @@ def search_effects(
         memory: readings that tell as much as one independent one, where it is known; looked for if absent.
     """
     fit, columns = pool.fit, outside_the_model(pool, candidates, structures)
+    only_left = memory is not None and not candidates  # of which one look is all
     if memory is None:
         memory, found = _with_memory(columns, side_by_side)
     else:
-        found = _searched(columns, side_by_side, memory, at_first=True)
+        found = _searched(columns, side_by_side, memory, at_first=not only_left)
     # What may be in is looked at again with laws that hold to some percent.
-    if not exact_laws:
+    if not (exact_laws or only_left):
         tried = _to_some_percent(columns, found)
         columns = outside_the_model(pool, tried, structures) if tried else columns
         found = _searched(columns, side_by_side, memory)
