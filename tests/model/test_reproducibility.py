@@ -12,6 +12,7 @@ import pytest
 import machine_tool_calibration as mtcal
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.reproducibility import DRIFT, PureError, offsets_apart, reproducibility, with_drift
@@ -32,6 +33,7 @@ from machine_tool_calibration.model.rigid_body import (
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import PRESETS, MachineSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import build_machine
+from tests import plates
 
 HEAD = """format: mtcal-session/1
 method: direct
@@ -75,6 +77,27 @@ def test_runs_over_an_axis_that_begin_elsewhere_hide_no_reversal(tmp_path: Path,
     assert [family.name for family in families] == ["run", "pass"][: 1 + both_ways]
     if both_ways:
         assert mtcal.identify(session).diagnose().effects == ("backlash_x",)
+
+
+def test_of_very_many_passes_those_of_one_direction_are_held_together() -> None:
+    """250 cycles of which every pass has an offset of its own: these, not the noise, say how sure a backlash is."""
+    rng = np.random.default_rng(5)
+    cycles, places = 250, np.linspace(0.0, 0.4, 6)
+    way = np.tile(np.repeat([1.0, -1.0], 6), cycles)
+    x = np.tile(np.r_[places, places[::-1]], cycles)
+    read = np.repeat(rng.normal(scale=1e-6, size=2 * cycles), 6) + 2e-7 * rng.normal(size=len(x))
+    columns = {"time": 5.0 * np.arange(len(x)), "x": x, "dir_x": way, "displacement": read}
+    columns |= {"gx": np.ones(len(x)), "gy": 0 * x, "gz": 0 * x}
+    measured = plates.session(columns, 2e-7, terms=["EXX"], repeat=np.repeat(np.arange(cycles), 12))
+    fit = fit_sessions(FitRequest((measured,), effects=("backlash_x",))).joint.fits[0]
+    families = {family.name: family for family in reproducibility(fit.model.observations)}
+    assert families["pass"].count < 2 * cycles
+    for group in range(families["pass"].count):
+        assert len(set(way[families["pass"].group == group])) == 1
+    place = [p.name for p in fit.model.parameters].index("backlash_x.b")
+    # Half the difference of the directions' means, each of 250 offsets.
+    expected = 1e-6 / np.sqrt(2.0 * cycles)
+    assert np.sqrt(fit.covariance[place, place]) == pytest.approx(expected, rel=0.25)
 
 
 @pytest.mark.parametrize(("runs", "told"), [(1, False), (2, True), (3, True), (5, True)])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance, within
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance, occurrence, within
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.imperfection import scaled_values
@@ -26,9 +26,8 @@ _FOR_A_DEGREE = 3
 # Readings of repeats that are enough.
 _ENOUGH = 20_000
 _ROUNDING = 1e-9
-# Groups of a family, and functions of them all, at most: the fit's time goes with the third power of these. What so
-# many groups have each for itself is in the noise, and its memory.
-_MOST_GROUPS, _MOST_FUNCTIONS = 400, 600
+# Groups of a family, and functions of them all, at most: the fit's time goes with the third power of these.
+_MOST_GROUPS, _MOST_FUNCTIONS = 200, 300
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
 
@@ -184,10 +183,26 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
 
 
 def _family(observations: Observations, name: str, group: IntArray) -> Family:
-    """One with smooth functions of the groups' time; of many groups with fewer, of very many for several in a row."""
-    group = group // -(-(int(group.max(initial=0)) + 1) // _MOST_GROUPS)
-    most = max(_MOST_FUNCTIONS // (int(group.max(initial=0)) + 1), 1)
-    return Family(name, group, _smooth(observations, group)[:most])
+    """One with smooth functions of the groups' time; of many groups with fewer, of very many with offsets of several."""
+    count = int(group.max(initial=0)) + 1
+    if count > _MOST_GROUPS:
+        group = _several_alike(observations, group, -(-count // _MOST_GROUPS))
+        return Family(name, group, _smooth(observations, group)[:1])
+    return Family(name, group, _smooth(observations, group)[: max(_MOST_FUNCTIONS // count, 1)])
+
+
+def _several_alike(observations: Observations, group: IntArray, several: int) -> IntArray:
+    """(n,) index of so many groups each, one after the other, of the same setup and direction of approach.
+
+    The mean of as many offsets scatters as that of all does. What passes there and back have in common would say
+    nothing of what distinguishes the two directions.
+    """
+    readings = observations.readings
+    ways = [np.sign(values) for name, values in readings.columns.items() if name.startswith("dir_")]
+    count = np.bincount(group)
+    alike = groups(*(np.round(np.bincount(group, values) / count) for values in (readings.setup, *ways)))
+    place = occurrence(alike) // several
+    return groups(alike[group], place[group])
 
 
 def _smooth(observations: Observations, group: IntArray) -> Array:

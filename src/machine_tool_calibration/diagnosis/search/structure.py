@@ -7,6 +7,7 @@ from functools import cached_property, partial
 from itertools import combinations, product
 
 import numpy as np
+import numpy.typing as npt
 
 from machine_tool_calibration.arrays import Array, IntArray, occurrence, peaks, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
@@ -322,6 +323,16 @@ def _waves(covariate: str, time: Array, frequency: Array, powers: list[Array]) -
         yield replace(candidate, name=f"{candidate.name}{frequency[0]:.3g} Hz")
 
 
+def _rotating(frequency: Array | float, time: Array) -> npt.NDArray[np.complex128]:
+    """([f,] n) cosine and, as its imaginary part, sine of frequencies over time."""
+    phase = 2.0 * np.pi * np.multiply.outer(frequency, time)
+    wave = np.empty(phase.shape, dtype=complex)
+    # Faster than the exponential function of a complex number.
+    np.cos(phase, out=wave.real)
+    np.sin(phase, out=wave.imag)
+    return wave
+
+
 def _step(time: Array, moment: float) -> Array:
     return (time > moment).astype(float)[None]
 
@@ -390,13 +401,13 @@ def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) ->
     first, size = np.unique(run, return_index=True, return_counts=True)[1:]
     values = values - np.repeat(np.add.reduceat(values, first) / size, size)
     out = np.empty(len(frequency))
-    step = max(int(NUMBERS_AT_ONCE / len(time)), 1)
+    # Frequencies are equally far apart: multiplied by the same factors, the first wave of a batch gives the others.
+    step = min(max(int(NUMBERS_AT_ONCE / len(time)), 1), len(frequency))
+    factors = _rotating(frequency[:step] - frequency[0], time)
+    begin, onward = _rotating(frequency[0], time), _rotating(step * np.diff(frequency[:2]).sum(), time)
     for part in (slice(k, k + step) for k in range(0, len(frequency), step)):
-        phase = 2.0 * np.pi * frequency[part, None] * time
-        wave = np.empty(phase.shape, dtype=complex)
-        # Faster than the exponential function of a complex number.
-        np.cos(phase, out=wave.real)
-        np.sin(phase, out=wave.imag)
+        wave = begin * factors[: len(frequency[part])]
+        begin = begin * onward
         means = np.add.reduceat(wave, first, axis=1) / size
         # With z the wave, the sums of z conj(z) and of z z have the products of sine and cosine.
         both = len(time) - np.abs(means) ** 2 @ size
