@@ -23,6 +23,7 @@ from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulat
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 
+from .. import plates
 from ..again import measured_again
 
 NAN = np.nan
@@ -148,6 +149,25 @@ def line(seed: int, start: float) -> Session:
 
 def fitted_line(start: float) -> FittedSessions:
     return fitted_sessions(identify(line(1, start)))
+
+
+def test_a_shift_of_deviations_that_are_absolute_is_a_difference() -> None:
+    def fitted(shift: float, datum: str) -> FittedSessions:
+        x, rng = np.tile(np.linspace(0.0, 0.5, 6), 5), np.random.default_rng(round(1e9 * shift))
+        columns = {
+            "x": x,
+            "gx": np.ones(30),
+            "gy": 0 * x,
+            "gz": 0 * x,
+            "displacement": shift + 1e-6 * rng.normal(size=30),
+        }
+        return fitted_sessions(identify(plates.session(columns, 1e-6, datum, ["EXX"], np.arange(30) // 6)))
+
+    moved = compare_fits(fitted(0.0, "none"), fitted(2e-5, "none"), draws=100)
+    assert not moved.agree and not moved.motion
+    assert moved.first[:, 0] == pytest.approx(0.0, abs=3e-6)
+    zeroed = compare_fits(fitted(0.0, "offset"), fitted(2e-5, "offset"), draws=100)
+    assert zeroed.agree and zeroed.motion
 
 
 def test_maps_without_a_common_point_are_one_line() -> None:

@@ -91,6 +91,7 @@ def test_too_few_readings():
             model.observations,
             readings=model.observations.readings.select(np.arange(2)),
             path=model.observations.path[:2],
+            direction=model.observations.direction[:2],
         ),
         terms=(Term("scale", model.terms[0].parameters, X[None, :2]),),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import plates
 
 import machine_tool_calibration as mtcal
 from machine_tool_calibration.machine.chain import Chain
@@ -33,7 +34,6 @@ from machine_tool_calibration.model.rigid_body import (
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import PRESETS, MachineSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import build_machine
-from tests import plates
 
 HEAD = """format: mtcal-session/1
 method: direct
@@ -98,6 +98,22 @@ def test_of_very_many_passes_those_of_one_direction_are_held_together() -> None:
     # Half the difference of the directions' means, each of 250 offsets.
     expected = 1e-6 / np.sqrt(2.0 * cycles)
     assert np.sqrt(fit.covariance[place, place]) == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize(("between", "within"), [(10.0, 4.0), (0.0, 4.0)])
+def test_setups_that_differ_are_no_better_known_by_repeats(between: float, within: float) -> None:
+    """Six setups read the same five places ten times each: repeats say nothing of what the setups differ by."""
+    found, true = [], np.sqrt(between**2 / 6 + within**2 / 60 + 2.0**2 / 300)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        setup, repeat, place = (a.ravel() for a in np.meshgrid(range(6), range(10), range(5), indexing="ij"))
+        read = between * rng.normal(size=6)[setup] + within * rng.normal(size=(6, 10))[setup, repeat]
+        columns = {"x": 0.05 * place, "gx": 0 * place, "gy": 0 * place, "gz": np.ones(300)}
+        columns["displacement"] = 1e-6 * (read + 2.0 * rng.normal(size=300))
+        names = [f"lot{k}" for k in range(6)]
+        measured = plates.session(columns, 3e-6, "none", ["EZX"], repeat, *names, setup=setup.tolist())
+        found.append(1e6 * identify(measured).error_map.uncertainty[:, 2].mean())
+    assert np.mean(found) == pytest.approx(true, rel=0.35)
 
 
 @pytest.mark.parametrize(("runs", "told"), [(1, False), (2, True), (3, True), (5, True)])
@@ -233,6 +249,10 @@ def test_nodes() -> None:
     assert distinct_nodes(np.array([0.0, 0.9999, 0.0005, 1.0, -0.0])).tolist() == [0.0, 0.9999]
     assert distinct_nodes(np.array([0.0, 0.5, 0.502, 1.0])).tolist() == [0.0, 0.5, 0.502, 1.0]
     assert thinned(np.array([0.0, 0.1, 0.4, 0.6, 0.9, 1.0]), 3).tolist() in ([0.0, 0.4, 1.0], [0.0, 0.6, 1.0])
+    # Of places in pairs one each, and both ends.
+    pairs = np.sort(np.concatenate([np.arange(0.0, 1.0, 0.1), np.arange(0.0, 1.0, 0.1) + 0.003]))
+    apart = thinned(pairs, 19)
+    assert len(apart) == 10 and apart[0] == 0.0 and apart[-1] == pairs[-1] and np.diff(apart).min() > 0.09
 
 
 def test_a_node_that_no_reading_reaches_but_by_rounding_is_not_read() -> None:

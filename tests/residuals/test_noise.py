@@ -15,9 +15,10 @@ from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.rounding import rounding_of
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
-from machine_tool_calibration.residuals.noise import noise_of, pooled, rounding_of
+from machine_tool_calibration.residuals.noise import noise_of, pooled
 from machine_tool_calibration.residuals.places import _beside, _moran, alike_beside_p
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session

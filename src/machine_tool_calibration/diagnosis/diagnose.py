@@ -123,7 +123,7 @@ class Diagnosis:
             if not self.search.accepted or (repeats is None and not self.left):
                 return False
             if repeats is not None:
-                expected, known = (repeats / self.noise.declared) ** 2, self.noise.repeats
+                expected, known = (repeats / self.noise.counted) ** 2, self.noise.repeats
         dof, variance = first.degrees_of_freedom / self.search.memory, self.search.variance / expected
         chance = special.chdtrc(dof, dof * variance) if np.isinf(known) else special.fdtrc(dof, known, variance)
         if self.noisy or variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_P:

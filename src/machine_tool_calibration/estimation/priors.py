@@ -132,6 +132,9 @@ BULK = 0.95
 SAME_EVIDENCE = 4.5
 """Difference in the logarithm of the evidence within which another set of gross errors may be true: 1 in 100."""
 
+AS_DECLARED = 3.0
+"""Declared standard uncertainties within which no reading has a gross error: U contains so much of any."""
+
 SUSPECTED, SUSPECTED_BESIDE = 3.0, 4.0
 """Predicted residuals from which a reading is judged with others, at first and beside a set: few sound ones are."""
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether two maps of one machine agree within their joint uncertainty: the normalised difference at every point.
 
-Two measurements of one machine have no common datum: what shifts and turns all their points together is no difference
-of the machine. It is fitted to the differences of the points that both have and taken out of them, and what is left is
-held against its own uncertainty, in which the fitted motion is contained.
+Two measurements of one machine have no common datum, unless the deviations of both are absolute: what shifts and turns
+all their points together is no difference of the machine. It is fitted to the differences of the points that both have
+and taken out of them, and what is left is held against its own uncertainty, in which the fitted motion is contained.
 """
 
 import itertools
@@ -99,8 +99,10 @@ def compare_maps(
     roots: tuple[Array, Array],
     draws: int | None = None,
     labels: tuple[str, str] = ("first", "second"),
+    *,
+    absolute: bool = False,
 ) -> MapComparison:
-    """Take the common motion out, and give what is left with its uncertainty.
+    """Take the common motion out, unless both maps are absolute, and give what is left with its uncertainty.
 
     Position errors (n, 3) at points (n, 3) by two maps, m, NaN in a direction that one does not have; for each (k,
     n, 3) rows of a root of the covariance of its errors (the product of the transposed root with itself), both with
@@ -114,7 +116,7 @@ def compare_maps(
     a, b = first[there], second[there]
     rows = [np.asarray(root[:, there]) for root in roots]
     left, sizes, _ = np.linalg.svd(moves, full_matrices=False)
-    span = left[:, sizes > _LEAST_SINGULAR_VALUE * sizes[0]]
+    span = left[:, (sizes > _LEAST_SINGULAR_VALUE * sizes[0]) & (not absolute)]
 
     def freed(values: Array) -> Array:
         return np.asarray(values - (values @ span) @ span.T)
@@ -134,7 +136,7 @@ def compare_maps(
     difference = np.where(kept, difference, 0.0)
     spread = [np.where(kept, np.sqrt(np.einsum("kq,kq->q", row, row)), 0.0) for row in (*free, both)]
     one, two, u_one, u_two, u = (_placed(there, values) for values in (b + difference, b, *spread))
-    motion = _motion(moves, scale, a - b, rows[0] - rows[1])
+    motion = () if absolute else _motion(moves, scale, a - b, rows[0] - rows[1])
     return MapComparison(points, one, two, u_one, u_two, u, motion, joint_p_value(difference, both, draws), labels)
 
 
@@ -232,8 +234,14 @@ def compare_fits(
         own.append(map_draws(fitted, draws, seed + k, told)[:, pair] / np.sqrt(draws))
     points = first.error_map.points[pairs[0]]
     one, two = (found.error_map.error[pair] for found, pair in zip((first, second), pairs, strict=True))
-    found = compare_maps(points, one, two, (own[0], own[1]), draws, labels)
+    absolute = all(is_absolute(own.content) for own in maps)
+    found = compare_maps(points, one, two, (own[0], own[1]), draws, labels, absolute=absolute)
     return replace(found, alone=tuple(len(own.points) - len(points) for own in maps))
+
+
+def is_absolute(content: Mapping[str, Any]) -> bool:
+    """Whether no datum leaves a motion of a map open."""
+    return bool(content.get("absolute"))
 
 
 def states(points: Array, content: Mapping[str, Any]) -> Array:

@@ -87,19 +87,27 @@ class JointFit(Solved):
         return tuple(Fit(self, index) for index in range(len(self.assembly.models)))
 
     @property
-    def reduced_chi_square(self) -> float:
-        """Weighted sum of squared residuals over the degrees of freedom."""
+    def variance(self) -> float:
+        """Variance of the readings about the fit, over that by which they count."""
         return self.solution.chi_square / self.solution.degrees_of_freedom
 
     @property
     def birge_ratio(self) -> float:
-        """How many times as much the readings scatter about the fit as declared; 1 where they scatter less."""
-        return max(float(np.sqrt(self.reduced_chi_square)), 1.0)
+        """How many times as much the readings scatter about the fit as they count; 1 where they scatter less."""
+        return max(float(np.sqrt(self.variance)), 1.0)
+
+    @cached_property
+    def reduced_chi_square(self) -> float:
+        """Sum of squared residuals over the declared uncertainty, over the degrees of freedom."""
+        counted = [self.normalised(k) ** 2 for k in range(len(self.fits))]
+        over = [(m.sigma / m.declared_sigma) ** 2 - 1.0 for m in self.assembly.models]
+        return self.variance + sum(map(np.dot, counted, over)) / self.solution.degrees_of_freedom
 
     @property
     def p_value(self) -> float:
         """Probability of so large a sum of squares if the model is right and the declared uncertainty too."""
-        return float(special.chdtrc(self.solution.degrees_of_freedom, self.solution.chi_square))
+        dof = self.solution.degrees_of_freedom
+        return float(special.chdtrc(dof, dof * self.reduced_chi_square))
 
 
 @dataclass(frozen=True)

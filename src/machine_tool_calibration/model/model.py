@@ -221,8 +221,8 @@ class MethodModel(ABC):
 
     @property
     def sigma(self) -> Array:
-        """(n,) standard uncertainty by which each reading counts, m: the declared one."""
-        return self.declared_sigma
+        """(n,) standard uncertainty by which each reading counts, m: that declared, or by its last digit."""
+        return np.maximum(self.declared_sigma, self.observations.rounding)
 
     @property
     def declared_sigma(self) -> Array:

@@ -11,7 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance, occurrence, within
+from machine_tool_calibration.arrays import (
+    Array,
+    BoolArray,
+    IntArray,
+    groups,
+    in_order_of_appearance,
+    occurrence,
+    within,
+)
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.imperfection import scaled_values
@@ -183,7 +191,7 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
 
 
 def _family(observations: Observations, name: str, group: IntArray) -> Family:
-    """One with smooth functions of the groups' time; of many groups with fewer, of very many with offsets of several."""
+    """One with smooth functions of the groups' time; of many groups with fewer, of very many offsets of several."""
     count = int(group.max(initial=0)) + 1
     if count > _MOST_GROUPS:
         group = _several_alike(observations, group, -(-count // _MOST_GROUPS))
@@ -216,7 +224,8 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
 
 
 def _of_direct(observations: Observations) -> Iterator[Family]:
-    """Runs and passes over a single axis; rows and columns of a grid; otherwise runs."""
+    """Setups; runs and passes over a single axis; rows and columns of a grid; otherwise runs."""
+    yield from _setups(observations)
     position = observations.position
     moved = [j for j in range(3) if np.ptp(position[:, j]) > SAME_POSITION] if len(position) else []
     run = observations.readings.repeat_of_setup
@@ -231,6 +240,17 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     for name, group in (("run", run), ("pass", ways)):
         if group.max(initial=0) > 1 and _tell(observations.place, group) and (name == "run" or (group != run).any()):
             yield _family(observations, name, group)
+
+
+def _setups(observations: Observations) -> Iterator[Family]:
+    """Offsets of setups that read the same as others, in several runs each, and have no offset in the model."""
+    readings, same = observations.readings, observations.alike(setup=False)
+    if getattr(observations.session.description, "datum", None) != "none" or not len(readings):
+        return
+    setup = groups(readings.setup)
+    several = np.bincount(np.unique(np.stack([same, setup]), axis=1)[0])[same] > 1
+    if readings.repeat_of_setup.max() > setup.max() and _tell(same[several], groups(setup[several])):
+        yield Family("setup", in_order_of_appearance(setup), several[None].astype(np.float64))
 
 
 def _tell(place: IntArray, run: IntArray) -> bool:

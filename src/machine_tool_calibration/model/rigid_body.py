@@ -109,9 +109,13 @@ def distinct_nodes(positions: Array) -> Array:
 
 
 def thinned(nodes: Array, count: int) -> Array:
-    """About so many of the nodes, spread evenly."""
-    wanted = np.linspace(nodes[0], nodes[-1], count)
-    return np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)])
+    """About so many of the nodes, spread evenly: none nearer to the next than half of an even step."""
+    wanted, step = np.linspace(nodes[0], nodes[-1], count, retstep=True)
+    kept: list[float] = []
+    for node in np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)]).tolist():
+        if not kept or node - kept[-1] >= 0.5 * step:
+            kept.append(node)
+    return np.array([*kept[:-1], nodes[-1]]) if len(kept) > 1 else np.array([nodes[0], nodes[-1]])
 
 
 def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[MachineTable]:

@@ -123,7 +123,7 @@ def visibilities(
 ) -> list[Visibility]:
     """For effects that hardly show or not at all: the measurement that shows the smallest size of them."""
     fit = diagnosis.fits[-1]
-    variance = max(fit.reduced_chi_square, 1e-12)
+    variance = max(fit.variance, 1e-12)
     every = [model.observations for model in fit.assembly.models]
     out = []
     for r in diagnosis.search.findings:

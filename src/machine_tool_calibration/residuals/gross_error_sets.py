@@ -71,6 +71,8 @@ def bulk_of(size: Array, redundancy: float, least: float, explained: BoolArray |
         last, inside = inside, size <= limit * scale
         if np.array_equal(inside, last):
             break
+    # However little the others scatter, a reading may be off by what was declared.
+    limit = max(limit, priors.AS_DECLARED / scale)
     odds = float(np.log(width * (priors.GROSS_ERRORS_DOF + len(size)) / (priors.GROSS_ERRORS + count)))
     return Bulk(scale, width, limit, min(odds, 0.5 * limit**2))
 

@@ -31,6 +31,7 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.fit import ShiftedPart
 from machine_tool_calibration.model.model import MethodModel, assemble
+from machine_tool_calibration.model.rounding import rounding_of
 from machine_tool_calibration.residuals.gross_error_sets import (
     COMPARED,
     HELD_OUT,
@@ -47,7 +48,6 @@ from machine_tool_calibration.residuals.gross_error_sets import (
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.residuals.neighbours import Neighbours, same_place
-from machine_tool_calibration.residuals.noise import rounding_of
 from machine_tool_calibration.session.session import Session
 
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.

@@ -216,7 +216,8 @@ def _position(earlier: Statement, now: Statement, between: float) -> Change | No
         if between:
             more = np.sqrt(2.0) * between * np.eye(3 * n).reshape(-1, n, 3)
             roots = [np.concatenate([roots[0], more]), np.concatenate([roots[1], 0.0 * more])]
-        found = compare_maps(points, first, second, (roots[0], roots[1]), draws, (earlier.label, now.label))
+        absolute = earlier.absolute and now.absolute
+        found = compare_maps(points, first, second, (roots[0], roots[1]), draws, absolute=absolute)
         first, second, u, p = found.first, found.second, found.u, found.p_value
     else:
         u, p = np.sqrt(u_first**2 + u_second**2 + 2.0 * between**2), None

@@ -22,7 +22,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
-from machine_tool_calibration.methods.map_comparison import DRAWS, states
+from machine_tool_calibration.methods.map_comparison import DRAWS, is_absolute, states
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import Result, effect_estimates
 
@@ -99,6 +99,7 @@ class Statement:
     # (n, 3) places of the position error, m, or (n, 6) with the senses of approach; without rows where there is none
     points: Array
     parts: Mapping[str, Part]  # error motions and single numbers by name
+    absolute: bool = False  # whether no datum leaves a motion of the position errors open
     # (draws, M') deviations of the first numbers, drawn together; None of a document, which has no correlations
     samples: Array | None = field(default=None, repr=False)
 
@@ -138,6 +139,7 @@ def of_fit(
         numbers=published,
         points=states(fitted.error_map.points, fitted.error_map.content),
         parts=_parts(published, fitted.error_map.content, fitted.effects),
+        absolute=is_absolute(fitted.error_map.content),
         samples=samples,
     )
 
@@ -179,6 +181,7 @@ def _read(document: Mapping[str, Any], label: str) -> Statement:
         numbers=published,
         points=states(points, content),
         parts=_parts(published, content, document["effects"]),
+        absolute=is_absolute(content),
     )
 
 

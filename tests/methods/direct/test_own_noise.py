@@ -170,3 +170,12 @@ def test_directions_that_only_setups_make_differ_are_not_named() -> None:
     (way,) = identify(session).document()["error_map"]["scatter"]["each"].items()
     assert way[0] == "setup"
     assert way[1] == {"A": pytest.approx(1e-6, rel=0.3), "B": pytest.approx(15e-6, rel=0.3)}
+
+
+def test_what_is_said_of_the_declared_uncertainty_is_against_what_was_declared() -> None:
+    """X scatters by 1, Y by 10 times the declared uncertainty: that each counts by its own makes neither declared."""
+    measured, _ = read((1e-6, 10e-6))
+    joint = identify(measured).joint
+    assert joint.reduced_chi_square == pytest.approx(50.5, rel=0.3)
+    assert joint.p_value < 1e-6 and joint.variance == pytest.approx(1.0, abs=0.3)
+    assert compare(measured).overall.reduced_chi_square == joint.reduced_chi_square

@@ -363,13 +363,12 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     """Places, or targets at the one place, that differ more than their repeats, whatever the pattern."""
     out = []
     for own, noise in zip(fit.fits, every, strict=True):
-        p, repeats, declared = noise.lack_of_fit_p, noise.from_repeats, noise.declared
+        p = noise.lack_of_fit_p
         if noise.is_all(noise.as_read, fit.reduced_chi_square):
             continue  # a place is not even the same from run to run
-        if p is not None and p < priors.LACK_OF_FIT_P and repeats is not None:
-            share = max(1.0 - (repeats / declared) ** 2 / fit.reduced_chi_square, 0.0)
+        if p is not None and p < priors.LACK_OF_FIT_P:
             what = "place" if own.model.observations.moves else "target"
-            out.append(Structure(what, say(f"shape.{what}s_differ"), p, share))
+            out.append(Structure(what, say(f"shape.{what}s_differ"), p, noise.of_places))
     return tuple(out)
 
 

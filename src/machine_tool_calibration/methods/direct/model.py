@@ -175,7 +175,9 @@ class DirectModel(MethodModel):
     @property
     def sigma(self) -> Array:
         """(n,) standard uncertainty by which each reading counts, m: with noise of its own direction and setup."""
-        return self.declared_sigma if self.noise is None else self.declared_sigma * self.noise.factor
+        return (
+            super().sigma if self.noise is None else np.maximum(super().sigma, self.declared_sigma * self.noise.factor)
+        )
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -348,6 +350,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
             {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
         ),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
+        "absolute": setups.kind == "none",
         "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,
     }
     # These are of the readings themselves: a restated fit changes nothing of them.

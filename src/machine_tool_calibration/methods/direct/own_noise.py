@@ -16,7 +16,7 @@ from scipy.special import logsumexp, softmax
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, rms
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.residuals.noise import rounding_of
+from machine_tool_calibration.model.rounding import rounding_of
 
 # Component of a direction from which it is along an axis.
 _ALONG = 0.99
