@@ -13,7 +13,7 @@ from machine_tool_calibration.budget.propagate import Budget
 from machine_tool_calibration.methods.map_comparison import MapComparison
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.features import draw_features
-from machine_tool_calibration.plots.map_comparison import draw_map_comparison
+from machine_tool_calibration.plots.maps import draw_map_comparison
 from machine_tool_calibration.plots.rotary_axis import draw_motions
 from machine_tool_calibration.plots.style import COLORS, MARKERS, mark_lost, new_figure, save
 from machine_tool_calibration.reports.quantities import micrometres, quantity

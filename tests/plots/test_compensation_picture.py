@@ -4,7 +4,7 @@
 import numpy as np
 
 from machine_tool_calibration.export.compensation import ResidualErrors
-from machine_tool_calibration.plots.compensation import draw_compensation
+from machine_tool_calibration.plots.maps import draw_compensation
 
 
 def test_marks_and_band_are_the_errors_and_twice_their_uncertainty() -> None:

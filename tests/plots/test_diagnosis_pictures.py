@@ -12,8 +12,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
-from machine_tool_calibration.plots.diagnosis import draw_diagnosis, save_diagnosis
-from machine_tool_calibration.plots.improve import draw_improvement, save_improvement
+from machine_tool_calibration.plots.diagnosis import draw_diagnosis, draw_improvement, save_diagnosis, save_improvement
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 from ..diagnosed import diagnosed

@@ -215,7 +215,7 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
-    from machine_tool_calibration.plots.improve import save_improvement
+    from machine_tool_calibration.plots.diagnosis import save_improvement
 
     improvement = improve(measured.session, progress=progress)
     progress("drawing", 1.0)

@@ -169,7 +169,7 @@ def _save(folder: Path, found: Compensation, made: Exported, title: str) -> list
     for name, text in made.files.items():
         save(folder / name, text)
     if picture:
-        from machine_tool_calibration.plots.compensation import draw_compensation
+        from machine_tool_calibration.plots.maps import draw_compensation
 
         save_picture(partial(draw_compensation, made.errors, title), picture[0], found.origin)
     return picture

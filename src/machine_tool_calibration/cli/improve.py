@@ -64,7 +64,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     from machine_tool_calibration.budget.complete import improve
     from machine_tool_calibration.interface.improvement import Improvement
     from machine_tool_calibration.interface.session import Measurement
-    from machine_tool_calibration.plots.improve import save_improvement
+    from machine_tool_calibration.plots.diagnosis import save_improvement
     from machine_tool_calibration.reports.history_file import history_path, read_history
 
     measured, kept = wanted.open(measurements), history_path(*measurements)

@@ -112,7 +112,7 @@ def _optimised(
 ) -> None:
     from machine_tool_calibration.budget.patterns import shared_errors
     from machine_tool_calibration.planning.best_plan import best_plan
-    from machine_tool_calibration.plots.best_plan import draw_best_plan
+    from machine_tool_calibration.plots.maps import draw_best_plan
     from machine_tool_calibration.reports.planning import best_plan_parts
     from machine_tool_calibration.session.text import read_text
 

@@ -20,7 +20,12 @@ from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.plots.improve import draw_improvement, draw_steps, residuals_before_and_after, step_table
+from machine_tool_calibration.plots.diagnosis import (
+    draw_improvement,
+    draw_steps,
+    residuals_before_and_after,
+    step_table,
+)
 from machine_tool_calibration.reports.improvement import improvement_document, improvement_parts
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.tables import Part

@@ -14,7 +14,7 @@ import pandas as pd
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
-from machine_tool_calibration.plots.map_comparison import draw_map_comparison
+from machine_tool_calibration.plots.maps import draw_map_comparison
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import ROUNDING, p_value, plus_minus, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable

@@ -43,7 +43,7 @@ def draw_circles(circles: Sequence[Mapping[str, Any]], values: Sequence[Mapping[
     columns = min(len(setups), 3)
     rows = -(-len(setups) // columns)
     figure = new_figure(5.2 * columns, 5.6 * rows, say("picture.circles"))
-    panels = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, setup in zip(panels, setups, strict=False):
         mine = [circle for circle in circles if circle["setup"] == setup]
         _draw(panel, mine, largest)
@@ -70,11 +70,6 @@ def _draw(panel: Axes, circles: Sequence[Mapping[str, Any]], largest: float) -> 
         radius = np.where(broken, np.nan, radius)
         panel.plot(radius * np.cos(angle), radius * np.sin(angle), color=color, linewidth=1.2, label=arrow)
     first, second = circles[0]["plane"]
-    panel.set_xlabel(say("picture.one_division", axis=first, size=f"{1e6 * step:.3g}"))
-    panel.set_ylabel(second)
-    panel.set_xticks([])
-    panel.set_yticks([])
-    panel.set_aspect("equal")
-    panel.set_xlim(-_EDGE, _EDGE)
-    panel.set_ylim(-_EDGE, _EDGE)
+    panel.set(xlabel=say("picture.one_division", axis=first, size=f"{1e6 * step:.3g}"), ylabel=second, aspect="equal")
+    panel.set(xticks=[], yticks=[], xlim=(-_EDGE, _EDGE), ylim=(-_EDGE, _EDGE))
     panel.legend(frameon=False, loc="center")

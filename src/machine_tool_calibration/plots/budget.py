@@ -36,7 +36,7 @@ def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
     if not sums:
         figure.text(0.5, 0.5, say("budget.nothing"), ha="center")
         return figure
-    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
+    left, right = figure.subplots(1, 2)
     _contributions(left, budget, sums[0])
     _shares(right, budget, sums)
     return figure
@@ -77,7 +77,5 @@ def _shares(panel: Axes, budget: Budget, sums: Sequence[Sum]) -> None:
     if len(order) > len(largest):
         panel.barh(place, rest, _HEIGHT, begin, color="0.8", label=say("budget.others"))
     panel.set_yticks(place, [sum_name(one) for one in sums], fontsize="small")
-    panel.set_xlim(0, 100)
-    panel.set_xlabel(say("budget.axis_share"))
-    panel.set_ylim(max(len(sums), 4) - 0.4, -0.6)
+    panel.set(xlabel=say("budget.axis_share"), xlim=(0, 100), ylim=(max(len(sums), 4) - 0.4, -0.6))
     panel.figure.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="outside lower center", ncols=4)

@@ -46,8 +46,7 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     figure = new_figure(10, 4.6)
     panel = figure.subplots()
     _draw_run(panel, run)
-    panel.set_xlabel(f"{run['axis']}, mm")
-    panel.set_ylabel(say("picture.deviation"))
+    panel.set(xlabel=f"{run['axis']}, mm", ylabel=say("picture.deviation"))
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
     known = (
         (_SYMBOLS.get(name, name), as_exact(value, "m", run.get(f"{name}_U")))

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.coverage import K
-from machine_tool_calibration.plots.style import magnification, name_axes, numbers, spaced
+from machine_tool_calibration.plots.style import magnification, name_axes, new_figure, numbers, spaced
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
@@ -33,12 +33,8 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 
 def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
     """Four panels: the workpiece's form and its uncertainty, the linear axes' grid, C."""
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    figure = Figure(
-        figsize=(11.5, 11), layout=ConstrainedLayoutEngine(w_pad=0.25)
-    )  # panels of equal scales move inside
+    figure = new_figure(11.5, 11)
+    figure.set_layout_engine("constrained", w_pad=0.25)  # panels of equal scales move inside
     panels = figure.subplots(2, 2)
     _draw_workpiece(panels[0, 0], description, content)
     _draw_uncertainty(panels[0, 1], description, content)
@@ -125,10 +121,8 @@ def _draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
         most = max(map(abs, axes.get_ylim()))
         axes.set_ylim(-most, most)
     turned.set_ylabel(say("picture.ecc"), color="tab:red")
-    panel.set_xlabel("C, °")
-    panel.set_ylabel(say("picture.exc"))
-    known = np.isfinite(numbers(content["ECC"])).any()
-    panel.set_title(say("picture.table" if known else "picture.table_no_ecc"))
+    title = say("picture.table" if np.isfinite(numbers(content["ECC"])).any() else "picture.table_no_ecc")
+    panel.set(xlabel="C, °", ylabel=say("picture.exc"), title=title)
     panel.grid(color="0.9")
     handles = [handle for axes in (panel, turned) for handle in axes.get_legend_handles_labels()[0]]
     turned.legend(handles=handles, fontsize="small", **_BELOW)

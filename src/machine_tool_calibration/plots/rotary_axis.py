@@ -36,8 +36,7 @@ def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
     for panel, component in zip(panels.flat, "XYZABC", strict=True):
         name = f"E{component}{axis}"
         _curve(panel, angle, 1e6 * numbers(content[name]), 1e6 * numbers(content[f"{name}_u"]))
-        panel.set_title(_headed(name, component, axis))
-        panel.set_ylabel("µm" if component in "XYZ" else "µrad")
+        panel.set(title=_headed(name, component, axis), ylabel="µm" if component in "XYZ" else "µrad")
     for panel in panels[1]:
         panel.set_xlabel(f"{axis}, °")
     return figure

@@ -197,8 +197,8 @@ def _draw_motion(name: str, rows: pd.DataFrame) -> Figure:
     lost = ~rows["determined"].to_numpy(dtype=bool)
     panel.plot(at[lost], np.zeros(lost.sum()), "x", color="black", ms=5)
     panel.axhline(0.0, color=NOMINAL, lw=0.8, zorder=0)
-    panel.set_xlabel(f"{name[2]}, {'°' if rotary else 'mm'}")
-    panel.set_ylabel(say("picture.axis", axis=say("report.error"), unit="µrad" if angle else "µm"))
+    unit = say("picture.axis", axis=say("report.error"), unit="µrad" if angle else "µm")
+    panel.set(xlabel=f"{name[2]}, {'°' if rotary else 'mm'}", ylabel=unit)
     return figure
 
 

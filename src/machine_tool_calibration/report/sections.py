@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.plots.budget import draw_budget
-from machine_tool_calibration.plots.improve import draw_improvement
+from machine_tool_calibration.plots.diagnosis import draw_improvement
 from machine_tool_calibration.report import figures
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.reports import identification

@@ -10,7 +10,7 @@ from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.export.compensation import Exported, compensation
 from machine_tool_calibration.files import save
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.plots.compensation import draw_compensation
+from machine_tool_calibration.plots.maps import draw_compensation
 from machine_tool_calibration.plots.style import save_as
 from machine_tool_calibration.report.evaluation import evaluate
 from machine_tool_calibration.report.page import write_report
