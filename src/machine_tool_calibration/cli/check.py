@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.logbook import machine_option
-from machine_tool_calibration.cli.shared import PATH, Report, json_option, progress_bar, seed_option, tell
+from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, seed_option, tell
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -45,15 +44,20 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     mtcal check january june --from-history
     """
     from machine_tool_calibration.interface.trends import Check
+    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
     from machine_tool_calibration.trends.check import check
     from machine_tool_calibration.trends.logbook import Logbook, is_logbook
-    from machine_tool_calibration.trends.statement import of_result
+    from machine_tool_calibration.trends.statement import of_fit, of_result
 
     map_has_history, session_has_history = wanted.have_history([earlier, measurement])
     asked = replace(wanted, from_history=session_has_history).open([measurement]).chosen
     history: list[Statement] = []
     with progress_bar() as progress:
-        state = partial(_statement, seed=seed, progress=progress)
+
+        def state(request: FitRequest, label: str) -> Statement:
+            progress(f"identifying {label}")
+            return of_fit(fitted_sessions(identify_sessions(request)), label, seed=seed, progress=progress)
+
         if is_logbook(earlier):
             entries = _before(Logbook(earlier).of_one(machine), asked)
             last = entries[-1]
@@ -75,14 +79,6 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
         now = state(asked, str(measurement))
         answer = Check.of(check(first, now, history))
     tell(answer, as_json)
-
-
-def _statement(request: FitRequest, label: str, *, seed: int, progress: Report) -> Statement:
-    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
-    from machine_tool_calibration.trends.statement import of_fit
-
-    progress(f"identifying {label}")
-    return of_fit(fitted_sessions(identify_sessions(request)), label, seed=seed, progress=progress)
 
 
 def _before(entries: tuple[Entry, ...], asked: FitRequest) -> list[Entry]:

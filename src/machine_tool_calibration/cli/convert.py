@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from importlib import resources
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import yaml
 
 from machine_tool_calibration.cli import shared
-from machine_tool_calibration.cli.foreign_options import file_form, foreign_options, mapping_from, only_form
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part, TextTable, show
@@ -71,46 +73,116 @@ _ENDING = re.compile(r"\.[A-Za-z]\w{1,4}")  # a folder's name may hold a point t
 _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
 
-HELP = """Convert sessions, recordings and tables into one another, and tables of other programs into sessions.
+_FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
+"""Options of how the text of a table is written, but for those that are given in other words."""
 
-SOURCE is a session folder or a recording. Numbers stay the same to the last bit. `--to csv` and `--to parquet` with
-a recording and a folder as TARGET write every topic into a table of its own; with a file as TARGET, the readings
-into that one table.
-
-\b
-mtcal convert session bag
-mtcal convert bag session
-mtcal convert bag readings.csv
-mtcal convert bag tables --to parquet
-mtcal convert readings.csv session --description session.yaml     back again
-mtcal convert session mended --separator semicolon --decimal comma    after a spreadsheet had it
-
-With --table or --mapping, SOURCE is a text table of another program: a part or plate measured on a CMM, targets
-measured by a laser tracker, readings by ISO 230-2, or the readings of any method. Several of the same form become
-one session, each with setups of its own. Nothing is guessed: columns and units are named, and --dry-run shows what
-would be read. What looks like another unit is refused; --trust-units takes it as it is, and so does everything that
-reads the session.
-
-\b
-A drilled plate on a CMM, with decimal commas:
-  mtcal convert plate.csv plate --table points --separator semicolon --decimal comma --encoding latin-1 \\
-    --column x=NominalX --column y=NominalY --column "actual_x=X mess" --column "actual_y=Y mess" --unit mm \\
-    --chain w-Y-X-b-Z-t --uncertainty 1.5um --term EXX --term EYY --term EYX --term EXY --term C0Y
-Targets measured by a tracker from several stations, each in its own frame:
-  mtcal convert tracker.txt volume --mapping tracker.yaml --align --dry-run
-Distances only, from four stations or more, as a tracking interferometer:
-  mtcal convert tracker.txt multilateration --table ranges --column setup=Station --column range=Dist \\
-    --column x=X --column y=Y --column z=Z --unit mm --station "S1=-900, 200, 350 mm" …
-A positioning run, columns Position, 1 up, 1 down, 2 up, 2 down …, by ISO 230-2:
-  mtcal convert x_axis.csv x_axis --table iso230-2 --axis x --column position=Position \\
-    --unit mm --unit deviation=um --chain w-X-b-t --uncertainty 0.3um
-Readings of a step diagonal or any other method, in columns named as those of observations.csv but for --column:
-  mtcal convert steps.csv steps --table readings --description session.yaml --unit mm \\
-    --column "displacement=Reading [um]"
-"""
+_KINDS = {"file": shared.FILE, "count": click.IntRange(min=0)}
 
 
-@click.command("convert", help=HELP)
+def _declared() -> Iterator[Callable[[Any], Any]]:
+    table = resources.files("machine_tool_calibration.cli") / "foreign_options.yaml"
+    for flag, entry in yaml.safe_load(table.read_text(encoding="utf-8")).items():
+        name = [entry.pop("name")] if "name" in entry else []
+        kind = click.Choice(entry.pop("choice")) if "choice" in entry else _KINDS.get(entry.pop("kind", ""))
+        yield click.option(flag, *name, type=kind, **entry)
+
+
+_foreign_options = shared.options(*_declared())
+
+
+def _only_form(given: dict[str, Any]) -> bool:
+    """Whether nothing is said of a foreign table but how its text is written, and that its sizes are right."""
+    return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header", "trust_units"))
+
+
+def _file_form(given: dict[str, Any]) -> dict[str, Any]:
+    """What the options say of how a table's text is written."""
+    form = {key: given[key] or None for key in _FORM}
+    form["decimal"] = {"comma": ",", "point": "."}.get(given["decimal"] or "")
+    form["header"] = False if given["no_header"] else None
+    return {key: value for key, value in form.items() if value is not None}
+
+
+def _mapping_from(given: dict[str, Any], description: Path | None = None) -> tuple[dict[str, Any], str]:
+    """The content of a mapping, and its name for messages: the file, with a session.yaml and the options over it.
+
+    A UsageError if an option is not of its form; a CalibrationError if the file cannot be read.
+    """
+    from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
+    from machine_tool_calibration.session.text import read_yaml
+
+    path = given["mapping"]
+    content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
+    content.setdefault("format", FORMAT)
+    for key in ("columns", "extras", "values", "origin", "stations", "targets"):
+        _update(content, key, _pairs(key, given[key]), path)
+    _update(content, "units", _units(given["units"]), path)
+    _update(content, "file", _file_form(given), path)
+    content |= {key: given[key] for key in ("table", "sign", "axis", "senses") if given[key]}
+    content |= {key: True for key in ("align", "transposed", "actual") if given[key]}
+    if given["long"]:
+        content["layout"] = "long"
+    if given["up"] or given["down"]:
+        pairs = zip_longest(given["up"], given["down"])
+        content["runs"] = [
+            {"column": name, "direction": direction}
+            for pair in pairs
+            for name, direction in zip(pair, ("up", "down"), strict=True)
+            if name is not None
+        ]
+    session: dict[str, Any] = {key: given[key] for key in ("datum", "instrument")}
+    session["standard_uncertainty"] = given["uncertainty"]
+    session["machine"] = {"chain": given["chain"]} if given["chain"] else None
+    session["terms"] = list(given["terms"]) or None
+    session["trust_units"] = given["trust_units"] or None
+    if description is not None:
+        described = read_yaml(description).value
+        if not isinstance(described, dict):
+            raise CalibrationError(f"{description}: a session.yaml is a mapping of keys")
+        said = {key: value for key, value in described.items() if key != "format"}
+        before = content.get("session")
+        both = [key for key in said if isinstance(before, dict) and key in before and before[key] != said[key]]
+        if both:
+            names = ", ".join(both)
+            raise CalibrationError(
+                f"{path}: session says {names} otherwise than --description {description}: say it in one"
+            )
+        _update(content, "session", said, path)
+    _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
+    return content, "command line" if path is None else str(path)
+
+
+def _update(content: dict[str, Any], key: str, more: dict[str, Any], path: Path | None) -> None:
+    before = content.get(key, {})
+    if not isinstance(before, dict):
+        raise CalibrationError(f"{path}: {key} must be a mapping of keys")
+    if key == "session" and isinstance(before.get("machine"), dict) and "machine" in more:
+        more = {**more, "machine": {**before["machine"], **more["machine"]}}
+    if before or more:
+        content[key] = {**before, **more}
+
+
+def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    out = {}
+    for text in texts:
+        name, mark, value = text.partition("=")
+        if not mark or not name.strip() or not value.strip():
+            raise click.UsageError(f"--{option.rstrip('s')} {text!r} is not of the form NAME=…")
+        out[name.strip()] = value.strip()
+    return out
+
+
+def _units(texts: Sequence[str]) -> dict[str, str]:
+    from machine_tool_calibration.importing.units import dimension
+
+    out = {}
+    for text in texts:
+        name, mark, unit = (part.strip() for part in text.rpartition("="))
+        out[name if mark else dimension(unit)] = unit
+    return out
+
+
+@click.command("convert")
 @click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=shared.PATH)
 @click.option(
     "--to",
@@ -129,7 +201,7 @@ Readings of a step diagonal or any other method, in columns named as those of ob
 )
 @topic_option
 @shared.json_option
-@foreign_options
+@_foreign_options
 def command(
     paths: tuple[Path, ...],
     form: str | None,
@@ -142,7 +214,44 @@ def command(
     dry_run: bool,
     **foreign: Any,
 ) -> None:
-    """Convert sessions, recordings and tables into one another, and tables of other programs into sessions."""
+    """Convert sessions, recordings and tables into one another, and tables of other programs into sessions.
+
+    SOURCE is a session folder or a recording. Numbers stay the same to the last bit. `--to csv` and `--to parquet` with
+    a recording and a folder as TARGET write every topic into a table of its own; with a file as TARGET, the readings
+    into that one table.
+
+    \b
+    mtcal convert session bag
+    mtcal convert bag session
+    mtcal convert bag readings.csv
+    mtcal convert bag tables --to parquet
+    mtcal convert readings.csv session --description session.yaml     back again
+    mtcal convert session mended --separator semicolon --decimal comma    after a spreadsheet had it
+
+    With --table or --mapping, SOURCE is a text table of another program: a part or plate measured on a CMM, targets
+    measured by a laser tracker, readings by ISO 230-2, or the readings of any method. Several of the same form become
+    one session, each with setups of its own. Nothing is guessed: columns and units are named, and --dry-run shows what
+    would be read. What looks like another unit is refused; --trust-units takes it as it is, and so does everything that
+    reads the session.
+
+    \b
+    A drilled plate on a CMM, with decimal commas:
+      mtcal convert plate.csv plate --table points --separator semicolon --decimal comma --encoding latin-1 \\
+        --column x=NominalX --column y=NominalY --column "actual_x=X mess" --column "actual_y=Y mess" --unit mm \\
+        --chain w-Y-X-b-Z-t --uncertainty 1.5um --term EXX --term EYY --term EYX --term EXY --term C0Y
+    Targets measured by a tracker from several stations, each in its own frame:
+      mtcal convert tracker.txt volume --mapping tracker.yaml --align --dry-run
+    Distances only, from four stations or more, as a tracking interferometer:
+      mtcal convert tracker.txt multilateration --table ranges --column setup=Station --column range=Dist \\
+        --column x=X --column y=Y --column z=Z --unit mm --station "S1=-900, 200, 350 mm" …
+    A positioning run, columns Position, 1 up, 1 down, 2 up, 2 down …, by ISO 230-2:
+      mtcal convert x_axis.csv x_axis --table iso230-2 --axis x --column position=Position \\
+        --unit mm --unit deviation=um --chain w-X-b-t --uncertainty 0.3um
+    Readings of a step diagonal or any other method, in columns named as those of observations.csv but for --column:
+      mtcal convert steps.csv steps --table readings --description session.yaml --unit mm \\
+        --column "displacement=Reading [um]"
+    """
+    from machine_tool_calibration.importing import import_table, parse_mapping
     from machine_tool_calibration.recording.open import is_session_folder, open_measurement
 
     sources, target = _sources_and_target(paths, dry_run=dry_run)
@@ -150,9 +259,12 @@ def command(
     for path in sources:
         if not path.exists():
             raise CalibrationError(f"{path}: no such file or folder")
-    is_foreign = foreign["table"] is not None or foreign["mapping"] is not None
-    imported = _imported(sources, setup_name, foreign, description) if is_foreign else None
-    own = None if imported is not None else _own_table(sources, setup_name, foreign, description)
+    imported = own = None
+    if foreign["table"] is not None or foreign["mapping"] is not None:
+        content, name = _mapping_from(foreign, description)
+        imported = import_table(sources, parse_mapping(content, name), name=setup_name)
+    else:
+        own = _own_table(sources, setup_name, foreign, description)
     from_session = imported is None and own is None and is_session_folder(source)
     if form is None:
         form = _form(target, "bag" if from_session else "session")
@@ -171,7 +283,9 @@ def command(
         document = _tables(source, target, form, from_session, topics)
     else:
         session = open_measurement(source, topics, check=False) if own is None else own
-        document = _written(_trusted(session, foreign), target, form, start, namespace)
+        if foreign["trust_units"]:
+            session = replace(session, description=session.description.model_copy(update={"trust_units": True}))
+        document = _written(session, target, form, start, namespace)
     if as_json:
         shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -208,25 +322,16 @@ def _form(target: Path | None, otherwise: str) -> str:
     return otherwise
 
 
-def _imported(
-    sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
-) -> Imported:
-    from machine_tool_calibration.importing import import_table, parse_mapping
-
-    content, name = mapping_from(foreign, description)
-    return import_table(sources, parse_mapping(content, name), name=setup_name)
-
-
 def _own_table(
     sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
 ) -> Session | None:
     """The session of a table that is written like observations.csv; None if SOURCE is no such table."""
     from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
-    if len(sources) > 1 or setup_name or not only_form(foreign):
+    if len(sources) > 1 or setup_name or not _only_form(foreign):
         raise click.UsageError("several sources and options for tables of other programs need --table or --mapping")
     source = sources[0]
-    form = file_form(foreign)
+    form = _file_form(foreign)
     known = (DESCRIPTION_FILE, OBSERVATIONS_FILE)
     is_table = source.is_file() and source.suffix.lower() in (*_TEXTS, ".parquet") and source.name not in known
     if not (is_table or form or description):
@@ -249,35 +354,22 @@ def _own_table(
     return read_own_table(table, record, str(described), validated(FileForm, form, ""))
 
 
-def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
-    """The session, with its sizes taken as they are where that was asked for."""
-    if not foreign["trust_units"]:
-        return session
-    return replace(session, description=session.description.model_copy(update={"trust_units": True}))
-
-
 def _written(session: Session, target: Path, form: str, start: int = 0, namespace: str = "") -> dict[str, Any]:
     from machine_tool_calibration.recording.session_bag import session_to_bag
-    from machine_tool_calibration.session.folder import write_session
+    from machine_tool_calibration.recording.tables import save_table
+    from machine_tool_calibration.session.folder import readings_frame, write_session
 
     if form == "bag":
         session_to_bag(session, target, start=start, namespace=namespace)
     elif form == "session":
         write_session(session, target)
     else:
-        _save_readings(session, target, form)
+        _check_ending(target, form)
+        file = target if target.suffix.lower() == f".{form}" else target / f"observations.{form}"
+        if file.exists():
+            raise CalibrationError(f"{file}: is there already; choose another name")
+        save_table(iter([readings_frame(session)]), file)
     return {"readings": len(session.readings)}
-
-
-def _save_readings(session: Session, target: Path, form: str) -> None:
-    from machine_tool_calibration.recording.tables import save_table
-    from machine_tool_calibration.session.folder import readings_frame
-
-    _check_ending(target, form)
-    file = target if target.suffix.lower() == f".{form}" else target / f"observations.{form}"
-    if file.exists():
-        raise CalibrationError(f"{file}: is there already; choose another name")
-    save_table(iter([readings_frame(session)]), file)
 
 
 def _check_ending(target: Path, form: str) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,7 +39,7 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
     mtcal effects --effects-file my_effects.yaml my_creep --gallery pictures
     """
     from machine_tool_calibration.effects.catalogue import catalogue, find_effects, own_effects
-    from machine_tool_calibration.reports.effect_page import effect_document
+    from machine_tool_calibration.reports.effect_page import effect_document, effects_table
 
     own = own_effects(files)
     chosen = find_effects(ids, own) if ids else list(catalogue(own).values())
@@ -53,17 +53,12 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
     if ids:
         parts = chain.from_iterable(map(_described, chosen))
     elif gallery is None:
-        parts = _listed(chosen)
+        more = (
+            "`mtcal effects ID` says what the coefficients are, where it is described, what each method leaves of it."
+        )
+        parts = [effects_table(chosen), f"{len(chosen)} effects; {more}"]
     document = {"format": "mtcal-effects/1", "effects": [effect_document(effect) for effect in chosen]}
     tell_either(document, parts, as_json)
-
-
-def _listed(effects: Sequence[Effect]) -> Iterator[Part]:
-    from machine_tool_calibration.reports.effect_page import effects_table
-
-    yield effects_table(effects)
-    more = "`mtcal effects ID` says what the coefficients are, where it is described, what each method leaves of it."
-    yield f"{len(effects)} effects; {more}"
 
 
 def _described(effect: Effect) -> Iterator[Part]:

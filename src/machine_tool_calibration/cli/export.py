@@ -46,28 +46,7 @@ _FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "
 _PICTURE = "what_is_left.png"
 
 
-HELP = """Write compensation tables for a controller, and show what would be left of the errors.
-
-MEASUREMENT is a session folder or a recording; several of one machine are fitted together. Without --model it is
-one that has tables, such as rigid_body. The files say sign, units, reference point and squareness convention. The
-preview reads the written files as the controller does and compares the errors before and after: a wrong sign would
-double them. What the model holds and the format cannot, such as backlash in most of them, is in the errors before
-and after, and named.
-
-\b
-mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
-mtcal export session --format linuxcnc-trims  the same with COMP_FILE_TYPE 1: what is added, not where it went
-mtcal export session --format siemens --plot  SINUMERIK 840D: positioning, straightness with squareness; a picture
-mtcal export session --format fanuc           pitch error data and parameters 3620 to 3624; positioning errors only
-mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
-mtcal export bag --format etalon              the same, Etalon Exchange
-mtcal export table --format siemens           a rotary axis: its positioning error (linuxcnc, siemens, csv, json)
-mtcal export x_axis plate --format json       two sessions together
-mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
-"""
-
-
-@click.command("export", help=HELP)
+@click.command("export")
 @click.argument("measurements", metavar="MEASUREMENT…", nargs=-1, required=True, type=PATH)
 @click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="Whose tables.")
 @click.option(
@@ -89,7 +68,25 @@ def command(
     topics: dict[str, str],
     as_json: bool,
 ) -> None:
-    """Write compensation tables for a controller, and show what would be left of the errors."""
+    """Write compensation tables for a controller, and show what would be left of the errors.
+
+    MEASUREMENT is a session folder or a recording; several of one machine are fitted together. Without --model it is
+    one that has tables, such as rigid_body. The files say sign, units, reference point and squareness convention. The
+    preview reads the written files as the controller does and compares the errors before and after: a wrong sign would
+    double them. What the model holds and the format cannot, such as backlash in most of them, is in the errors before
+    and after, and named.
+
+    \b
+    mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
+    mtcal export session --format linuxcnc-trims  the same with COMP_FILE_TYPE 1: what is added, not where it went
+    mtcal export session --format siemens --plot  SINUMERIK 840D: positioning, straightness with squareness; a picture
+    mtcal export session --format fanuc           pitch error data and parameters 3620 to 3624; positioning errors only
+    mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
+    mtcal export bag --format etalon              the same, Etalon Exchange
+    mtcal export table --format siemens           a rotary axis: its positioning error (linuxcnc, siemens, csv, json)
+    mtcal export x_axis plate --format json       two sessions together
+    mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
+    """
     from machine_tool_calibration.export.compensation import compensation
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table

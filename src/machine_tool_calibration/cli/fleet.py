@@ -3,6 +3,7 @@
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -31,9 +32,8 @@ def command(
     largest_u: str | None,
     language: str,
     wanted: Wanted,
-    workers: int | None,
-    scheduler: str | None,
     as_json: bool,
+    **cluster: Any,
 ) -> None:
     """Say which of many machines need attention, why, and which effects occur where.
 
@@ -59,7 +59,7 @@ def command(
         raise click.UsageError("--keep is for one session (mtcal logbook add).")
     spoken, kept = words(language), parse_tolerances(limits)
     most = None if largest_u is None else tolerance("volumetric", largest_u)
-    added, problems = _enter(book, folders, wanted, workers, scheduler) if folders else (0, [])
+    added, problems = _enter(book, folders, wanted, **cluster) if folders else (0, [])
     logbook = Logbook(book)
     entries = logbook.entries() if book.exists() or not folders else ()
     found = judged(entries, logbook.diagnoses(), limits=kept, largest_u=most, problems=problems, added=added)
@@ -70,9 +70,7 @@ def command(
     note_written(written)
 
 
-def _enter(
-    book: Path, folders: tuple[Path, ...], wanted: Wanted, workers: int | None, scheduler: str | None
-) -> tuple[int, list[tuple[str, str]]]:
+def _enter(book: Path, folders: tuple[Path, ...], wanted: Wanted, **cluster: Any) -> tuple[int, list[tuple[str, str]]]:
     """Evaluate and enter the sessions that the logbook does not have; how many, and what failed."""
     from machine_tool_calibration.fleet.each import each
     from machine_tool_calibration.fleet.sessions import evaluated, is_known, places
@@ -86,7 +84,7 @@ def _enter(
     if len(new) < len(found):
         note(f"{len(found) - len(new)} of {len(found)} sessions are in {book} already")
     work = partial(evaluated, fit=partial(fit_one, wanted=wanted))
-    for one in followed(each(work, new, workers=workers, scheduler=scheduler), len(new)):
+    for one in followed(each(work, new, **cluster), len(new)):
         if one.found is None:
             problems.append((one.item.label, one.item.told(one.problem)))
             continue

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -50,9 +50,8 @@ def command(
     units: str,
     plot: bool,
     each: bool,
-    workers: int | None,
-    scheduler: str | None,
     as_json: bool,
+    **cluster: Any,
 ) -> None:
     """Identify the machine's errors, each with its uncertainty.
 
@@ -70,18 +69,17 @@ def command(
     if each:
         if plot or table or wanted.keep:
             raise click.UsageError("--each is without --plot, --csv and --keep; -o FOLDER has all values as Parquet.")
-        _identify_each(
-            sessions, partial(fit_one, wanted=wanted, keep_all=keep_all), output, as_json, workers, scheduler
-        )
+        _identify_each(sessions, partial(fit_one, wanted=wanted, keep_all=keep_all), output, as_json, **cluster)
         return
-    if workers is not None or scheduler:
+    if cluster["workers"] is not None or cluster["scheduler"]:
         raise click.UsageError("--workers and --scheduler go with --each.")
     folder, written = output or (Path() if plot else None), list[Path]()
     with shared.progress_bar() as progress:
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
         if folder:
             progress("drawing")
-            written = _write(fit, folder, result_file=output is not None)
+            written = [save(folder / "result.json", to_json(fit.document()) + "\n")] if output else []
+            written += fit.save_pictures(folder)
         if table:
             written.append(_write_values(fit, table, units))
     shared.tell(fit, as_json)
@@ -91,12 +89,7 @@ def command(
 
 
 def _identify_each(
-    folders: Sequence[Path],
-    fit: Callable[[Path], Fit],
-    output: Path | None,
-    as_json: bool,
-    workers: int | None,
-    scheduler: str | None,
+    folders: Sequence[Path], fit: Callable[[Path], Fit], output: Path | None, as_json: bool, **cluster: Any
 ) -> None:
     from machine_tool_calibration.fleet.each import each
     from machine_tool_calibration.fleet.fleet import identified_document, identified_table
@@ -104,16 +97,11 @@ def _identify_each(
     from machine_tool_calibration.fleet.sessions import identified, places
 
     found = places(folders)
-    work = each(partial(identified, fit=fit), found, workers=workers, scheduler=scheduler)
+    work = each(partial(identified, fit=fit), found, **cluster)
     done = sorted(followed(work, len(found)), key=lambda one: one.item)
     written = write_tables(identified_tables(done), output) if output else []
     shared.tell_either(identified_document(done), [identified_table(done)], as_json)
     shared.note_written(written)
-
-
-def _write(fit: Fit, folder: Path, *, result_file: bool) -> list[Path]:
-    written = [save(folder / "result.json", to_json(fit.document()) + "\n")] if result_file else []
-    return written + fit.save_pictures(folder)
 
 
 def _write_values(fit: Fit, table: Path, units: str) -> Path:

@@ -185,24 +185,23 @@ _LONGEST, _ENDING = 1000, 100  # letters of a message
 INTERRUPTED = 130
 BROKEN_PIPE = 141
 TRACEBACK_VARIABLE = "MTCAL_TRACEBACK"
-HELP = """Calibrate a machine tool: from displacement readings to an error map, and to what the model lacks.
-
-\b
-mtcal demo                     the whole story on a simulated machine, in a minute
-mtcal info SESSION             what was measured
-mtcal identify SESSION         the machine's errors with their uncertainty
-mtcal VERB --help              what a verb does and takes
-
-A SESSION is a folder with session.yaml and observations.csv, or a recording (MCAP bag). With --json a verb writes one
-JSON document for programs. Exit status: 0 done, 1 wrong input or request (one line says what and where), 2 wrong
-command line.
-"""
 
 
-@click.group(cls=Verbs, help=HELP, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, "-V", "--version", prog_name="mtcal", message="%(prog)s %(version)s")
 def group() -> None:
-    """All verbs; what `--help` says is `HELP`."""
+    """Calibrate a machine tool: from displacement readings to an error map, and to what the model lacks.
+
+    \b
+    mtcal demo                     the whole story on a simulated machine, in a minute
+    mtcal info SESSION             what was measured
+    mtcal identify SESSION         the machine's errors with their uncertainty
+    mtcal VERB --help              what a verb does and takes
+
+    A SESSION is a folder with session.yaml and observations.csv, or a recording (MCAP bag). With --json a verb writes
+    one JSON document for programs. Exit status: 0 done, 1 wrong input or request (one line says what and where), 2
+    wrong command line.
+    """
 
 
 def main() -> NoReturn:

@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal plan`: what a procedure will determine, before it is run."""
 
-from __future__ import annotations
-
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
 from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.planning.best_plan import Assumed
 
 
 @click.command("plan")
@@ -74,52 +68,31 @@ def command(
     mtcal plan my_procedure.yaml --warming 3 --json
     mtcal plan probing_cross --optimise -o better.yaml --plot better.png
     """
-    if not optimise and (told or output or plot):
-        raise click.UsageError("--told, --output and --plot belong to --optimise.")
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.nodes.shared import procedure_file
-    from machine_tool_calibration.planning.best_plan import Assumed
-
-    assumed = Assumed(model, own_effects(files), warming, angular)
-    file = procedure_file(procedure)
-    if optimise:
-        _optimised(file, assumed, told, output, plot, seed, as_json)
-    else:
-        _forecast(file, assumed, as_json)
-
-
-def _forecast(file: Path, assumed: Assumed, as_json: bool) -> None:
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
-    from machine_tool_calibration.reports.planning import forecast_parts
+    from machine_tool_calibration.reports.planning import best_plan_parts, forecast_parts
 
-    with shared.progress_bar() as progress:
-        found = forecast(
-            read_procedure(file), model=assumed.model, own=assumed.own, warming=assumed.warming,
-            angular=assumed.angular, progress=progress,
-        )  # fmt: skip
-    shared.tell_either(found.document(), forecast_parts(found), as_json)
+    if not optimise and (told or output or plot):
+        raise click.UsageError("--told, --output and --plot belong to --optimise.")
+    assumed: dict[str, Any] = {"model": model, "own": own_effects(files), "warming": warming, "angular": angular}
+    file = procedure_file(procedure)
+    if not optimise:
+        with shared.progress_bar() as progress:
+            expected = forecast(read_procedure(file), **assumed, progress=progress)
+        shared.tell_either(expected.document(), forecast_parts(expected), as_json)
+        return
 
-
-def _optimised(
-    file: Path,
-    assumed: Assumed,
-    told: tuple[str, ...],
-    output: Path | None,
-    plot: Path | None,
-    seed: int,
-    as_json: bool,
-) -> None:
     from machine_tool_calibration.budget.patterns import shared_errors
-    from machine_tool_calibration.planning.best_plan import best_plan
+    from machine_tool_calibration.planning.best_plan import Assumed, best_plan
     from machine_tool_calibration.plots.maps import draw_best_plan
-    from machine_tool_calibration.reports.planning import best_plan_parts
     from machine_tool_calibration.session.text import read_text
 
     if output is not None and output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")
+    complete = Assumed(**assumed, errors=shared_errors)
     with shared.progress_bar() as progress:
-        complete = replace(assumed, errors=shared_errors)
         found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
     shared.tell_either(found.document(), best_plan_parts(found), as_json)
     shared.save_picture(partial(draw_best_plan, found), plot)

@@ -20,23 +20,8 @@ from machine_tool_calibration.session.catalogue import METHODS
 if TYPE_CHECKING:
     from machine_tool_calibration.simulation import Simulated, SimulationSpec
 
-HELP = """Simulate a measurement on a virtual machine.
 
-Readings are computed from geometry: true distances, tilted mirrors, a stylus sphere on a surface, a machine with
-smooth errors. FOLDER gets session.yaml and observations.csv, as from a real measurement, and truth.json, which says
-what was put in: for judging a result, never an input to it. The same options and seed give the same session.
-
-\b
-mtcal simulate --method tracking_interferometer --dimension 3 --seed 5 --effect backlash_y --size 2e-6 OUT
-mtcal simulate --preset probing_cam --effect workpiece_thermal --amplitude 6e-6 OUT
-mtcal simulate --method step_diagonal --plan "orders=[xyz, yzx, zxy]" --spread 2e-7 OUT
-mtcal simulate SPEC.yaml OUT
-
-A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
-"""
-
-
-@click.command("simulate", help=HELP, no_args_is_help=True)
+@click.command("simulate", no_args_is_help=True)
 @click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=PATH)
 @click.option("--method", type=click.Choice(list(METHODS)), help="Measuring method, with its usual plan.")
 @click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
@@ -83,7 +68,20 @@ def command(
     as_json: bool,
     **numbers: float | None,
 ) -> None:
-    """Simulate a measurement on a virtual machine."""
+    """Simulate a measurement on a virtual machine.
+
+    Readings are computed from geometry: true distances, tilted mirrors, a stylus sphere on a surface, a machine with
+    smooth errors. FOLDER gets session.yaml and observations.csv, as from a real measurement, and truth.json, which says
+    what was put in: for judging a result, never an input to it. The same options and seed give the same session.
+
+    \b
+    mtcal simulate --method tracking_interferometer --dimension 3 --seed 5 --effect backlash_y --size 2e-6 OUT
+    mtcal simulate --preset probing_cam --effect workpiece_thermal --amplitude 6e-6 OUT
+    mtcal simulate --method step_diagonal --plan "orders=[xyz, yzx, zxy]" --spread 2e-7 OUT
+    mtcal simulate SPEC.yaml OUT
+
+    A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
+    """
     from machine_tool_calibration.simulation import simulate
     from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
 

@@ -50,38 +50,24 @@ def command(file: Path, into: str | None, output: Path | None, as_json: bool, **
 
     if into is not None and output is None:
         raise click.UsageError("--into needs --output: the procedure itself is not changed.")
-    if file.suffix.lower() in (".yaml", ".yml"):
-        points = read_workpiece(file)
-    else:
-        points = _outline(file, **outline)
+    described = file.suffix.lower() in (".yaml", ".yml")
+    points = read_workpiece(file) if described else _outline(file, **outline)
     if output is not None:
         _write(points, into, output)
     document = {"format": "mtcal-points/1", "workpiece": workpiece_entries(points), "output": output}
     tell_either(document, _parts(points, into, output), as_json)
 
 
-def _outline(
-    file: Path,
-    unit: str | None,
-    spacing: float | None,
-    material: str,
-    layer: str | None,
-    is_open: bool,
-    clearance: float,
-    stylus: float | None,
-) -> tuple[WorkpiecePoint, ...]:
+def _outline(file: Path, *, is_open: bool, stylus: float | None, **said: Any) -> tuple[WorkpiecePoint, ...]:
     from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
     from machine_tool_calibration.session.record import validated
 
-    if spacing is None:
+    if said["spacing"] is None:
         raise click.UsageError("An outline needs --spacing: how far its points are apart.")
-    feature: dict[str, Any] = {
-        "kind": "file", "path": file.name, "material": material, "spacing": spacing, "layer": layer, "unit": unit,
-        "closed": not is_open, "clearance": clearance,
-    }  # fmt: skip
+    feature = {"kind": "file", "path": file.name, "closed": not is_open}
+    feature |= {key: value for key, value in said.items() if value is not None}
     content = {
-        "format": "mtcal-workpiece/1", "unit": unit or "mm", "stylus_diameter": stylus,
-        "features": [{key: value for key, value in feature.items() if value is not None}],
+        "format": "mtcal-workpiece/1", "unit": said["unit"] or "mm", "stylus_diameter": stylus, "features": [feature]
     }  # fmt: skip
     return workpiece_points(validated(Workpiece, content, str(file)), file.parent)
 
