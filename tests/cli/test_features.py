@@ -10,7 +10,7 @@ import pytest
 import machine_tool_calibration as mtcal
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.plots.features import draw_features
-from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
+from machine_tool_calibration.reports.history import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import read_session
 
 from ..again import measured_again

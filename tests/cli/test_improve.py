@@ -18,7 +18,7 @@ from PIL import Image
 
 from machine_tool_calibration.cli.main import BROKEN_PIPE, run
 from machine_tool_calibration.recording.open import open_measurement
-from machine_tool_calibration.reports.history_file import read_history
+from machine_tool_calibration.reports.history import read_history
 
 from ..told import Verb
 

@@ -9,7 +9,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
 from machine_tool_calibration.recording.open import open_measurement
-from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
+from machine_tool_calibration.reports.history import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
 

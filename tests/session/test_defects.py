@@ -12,7 +12,7 @@ from machine_tool_calibration.budget.contributor import read_budget
 from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.importing.text_table import FileForm
-from machine_tool_calibration.reports.history_file import read_history
+from machine_tool_calibration.reports.history import read_history
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.record import validated

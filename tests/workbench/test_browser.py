@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 import machine_tool_calibration as mtcal
-from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.reports.history import history_path, read_history
 
 CHROMIUM = Path("/usr/bin/chromium")
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason="no browser: Debian's package chromium has one")

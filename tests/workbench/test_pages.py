@@ -15,7 +15,7 @@ from bokeh.server.protocol_handler import ProtocolHandler
 from bokeh.server.session import ServerSession
 
 from machine_tool_calibration.interface.session import simulate
-from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.reports.history import history_path, read_history
 from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.export import ExportPage
 from machine_tool_calibration.workbench.handed_over import left

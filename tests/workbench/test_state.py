@@ -13,7 +13,7 @@ import pytest
 from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.interface.session import simulate
-from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.reports.history import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings

@@ -18,7 +18,7 @@ from bokeh.document import Document
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.reports.history import history_path, read_history
 from machine_tool_calibration.workbench import work
 from machine_tool_calibration.workbench.handed_over import left
 from machine_tool_calibration.workbench.live_feed import Feed

@@ -52,7 +52,7 @@ class Wanted:
             return Measured(sessions, FitRequest(sessions, tuple(labels), self.model, self.effects, tuple(own)))
         if self.effects or self.model:
             raise click.UsageError("--from-history is without --effect and --model.")
-        from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+        from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
 
         history = read_history(history_path(*paths))
         if (entry := history.in_use) is None:
@@ -64,7 +64,7 @@ class Wanted:
 
     def have_history(self, paths: Sequence[Path]) -> list[bool]:
         """Of which measurements the history is asked for, and has a model; a CalibrationError if none that is asked."""
-        from machine_tool_calibration.reports.history_file import history_path, read_history
+        from machine_tool_calibration.reports.history import history_path, read_history
 
         out = [self.from_history and read_history(history_path(path)).in_use is not None for path in paths]
         if self.from_history and not any(out):
@@ -92,7 +92,7 @@ class Wanted:
 
     def note_unused(self, fit: Fit, paths: Sequence[Path]) -> None:
         """Say that the history of the sessions holds a better model, where it was not asked for, and how to use it."""
-        from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+        from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
         from machine_tool_calibration.reports.quantities import rounded
 
         if self.from_history:

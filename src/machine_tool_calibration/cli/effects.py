@@ -53,10 +53,8 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
     if ids:
         parts = chain.from_iterable(map(_described, chosen))
     elif gallery is None:
-        more = (
-            "`mtcal effects ID` says what the coefficients are, where it is described, what each method leaves of it."
-        )
-        parts = [effects_table(chosen), f"{len(chosen)} effects; {more}"]
+        more = "what the coefficients are, where it is described, what each method leaves of it."
+        parts = [effects_table(chosen), f"{len(chosen)} effects; `mtcal effects ID` says {more}"]
     document = {"format": "mtcal-effects/1", "effects": [effect_document(effect) for effect in chosen]}
     tell_either(document, parts, as_json)
 

@@ -31,27 +31,26 @@ def command(
     mtcal history measurements/cube --compare 1 2
     mtcal history measurements/cube --undo
     """
-    from machine_tool_calibration.reports.history_file import history_path, read_history, update_history
-    from machine_tool_calibration.reports.history_tables import compared_models, tried_models
+    from machine_tool_calibration.reports import history as kept
 
     if undo and use is not None:
         raise click.UsageError("Give either --undo or --use.")
     for measurement in measurements:
         if not measurement.exists():
             raise CalibrationError(f"{measurement}: no such file or folder")
-    path = history_path(*measurements)
+    path = kept.history_path(*measurements)
     if not path.exists():
         raise no_model(measurements)
     if undo or use is not None:
-        _, history = update_history(path, lambda old: old.undone() if use is None else old.using(use))
+        _, history = kept.update_history(path, lambda old: old.undone() if use is None else old.using(use))
         note(f"model {history.current} is the current one")
     else:
-        history = read_history(path)
+        history = kept.read_history(path)
     chosen = [history.entry(number) for number in compare] if compare else []
     parts: list[Part] = []
     if last := next((entry for entry in reversed(history.models) if entry.sessions), None):
         parts.append(f"Sessions fitted together: {', '.join(part.label for part in last.sessions)}")
-    parts.append(compared_models(*chosen) if chosen else tried_models(history.models, history.current))
+    parts.append(kept.compared_models(*chosen) if chosen else kept.tried_models(history.models, history.current))
     if chosen and chosen[0].data != chosen[1].data:
         parts.append("The two models are of different readings: the session was changed in between.")
     compared = {"compared": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[list[Path], str]:
     """Put the models into the history: the file, if it was changed, and a remark; a SessionError if it cannot be."""
     from machine_tool_calibration.diagnosis.improve import entry_of
-    from machine_tool_calibration.reports.history_file import fingerprint, update_history
+    from machine_tool_calibration.reports.history import fingerprint, update_history
 
     prints = [fingerprint(session) for session in sessions]
     now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -65,7 +65,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     from machine_tool_calibration.interface.improvement import Improvement
     from machine_tool_calibration.interface.session import Measurement
     from machine_tool_calibration.plots.diagnosis import save_improvement
-    from machine_tool_calibration.reports.history_file import history_path, read_history
+    from machine_tool_calibration.reports.history import history_path, read_history
 
     measured, kept = wanted.open(measurements), history_path(*measurements)
     if history:  # a damaged one is reported before a long calculation, not after it

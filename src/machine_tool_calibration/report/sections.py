@@ -18,7 +18,7 @@ from machine_tool_calibration.reports.budget import budget_parts, conformity_par
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.goodness import effect_words, free_words
-from machine_tool_calibration.reports.history_tables import tried_models
+from machine_tool_calibration.reports.history import tried_models
 from machine_tool_calibration.reports.improvement import steps_table
 from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.quantities import micrometres, plus_minus, quantity, sizes_in_words

@@ -9,7 +9,7 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.improve import leaves_something
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.history_tables import compared_models, tried_models
+from machine_tool_calibration.reports.history import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import of_map, quantity
 from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.own_effect import addable

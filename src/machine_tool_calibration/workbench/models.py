@@ -26,7 +26,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
 from machine_tool_calibration.procedure import Procedure
-from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
 from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 from machine_tool_calibration.words import say

@@ -15,7 +15,7 @@ from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.recording.open import is_session_folder
-from machine_tool_calibration.reports.history_file import history_path, update_history
+from machine_tool_calibration.reports.history import history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say

@@ -11,7 +11,7 @@ import pytest
 from machine_tool_calibration.diagnosis.history import Coefficient, Entry, History, Part
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import open_measurement
-from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history, update_history
+from machine_tool_calibration.reports.history import fingerprint, history_path, read_history, update_history
 
 DATA = Path(__file__).parents[1] / "data"
 
