@@ -13,10 +13,11 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.planning.outlook import outlooks
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.text import load_yaml
 from machine_tool_calibration.workbench.handed_over import reported
-from machine_tool_calibration.workbench.models import Subject, looked_ahead, planned
+from machine_tool_calibration.workbench.models import Subject, planned
 from machine_tool_calibration.workbench.state import Job, State
 
 
@@ -27,7 +28,7 @@ def content(name: str) -> dict[str, object]:
 
 
 def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
-    from machine_tool_calibration.workbench.procedure_form import changed_procedure
+    from machine_tool_calibration.workbench.plan import changed_procedure
 
     given = content("tracking_2d")
     changed = changed_procedure(given, setups=["A", "C"], repeats=3, dwell=2.5, counts={"x": 4})
@@ -41,7 +42,7 @@ def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 def test_the_form_says_what_a_procedure_is_and_why_one_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from machine_tool_calibration.workbench import look
-    from machine_tool_calibration.workbench.procedure_form import ProcedureForm
+    from machine_tool_calibration.workbench.plan import ProcedureForm
 
     monkeypatch.setattr(look, "_locked", lambda act: act())
     ready: list[bool] = []
@@ -63,7 +64,7 @@ def test_the_form_says_what_a_procedure_is_and_why_one_is_none(tmp_path: Path, m
 
 @pytest.mark.long
 def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> None:
-    from machine_tool_calibration.workbench.procedure_form import changed_procedure
+    from machine_tool_calibration.workbench.plan import changed_procedure
 
     state = State()
     state.opened(hidden)()
@@ -85,7 +86,7 @@ def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> N
     measurement = simulate(method, effects={"linear_drift": 1e-9} if method != "probing" else {}, seed=3)
     subject = Subject(measurement)
     model = subject.tried(None, "", FitRequest(measurement.sessions), frozenset(), frozenset())
-    now, *then = looked_ahead(subject, model, lambda what, share: None)
+    now, *then = outlooks(subject.chosen(model), model.fit.result, lambda what, share: None)
     assert now.typical == model.step.map_uncertainty, "that which Improve and the history show"
     known = now.uncertainty > 0
     assert len(then) > 1 and all(np.all(one.uncertainty[known] < 1.001 * now.uncertainty[known]) for one in then)
@@ -101,7 +102,8 @@ def test_what_a_budget_adds_stays_whatever_is_measured_next() -> None:
         own = replace(measurement, sessions=(replace(measurement.sessions[0], description=described),))
         subject = Subject(own)
         model = subject.tried(None, "", FitRequest(own.sessions), frozenset(), frozenset())
-        every.append({one.words: one.uncertainty**2 for one in looked_ahead(subject, model, lambda what, share: None)})
+        found = outlooks(subject.chosen(model), model.fit.result, lambda what, share: None)
+        every.append({one.words: one.uncertainty**2 for one in found})
     read, complete = every
     both = read.keys() & complete.keys()
     assert len(both) > 1 and np.nanmax(complete[""] - read[""]) > 0.01 * np.nanmax(read[""])

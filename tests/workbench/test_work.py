@@ -18,11 +18,12 @@ from bokeh.document import Document
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.planning.outlook import outlooks
 from machine_tool_calibration.reports.history import history_path, read_history
 from machine_tool_calibration.workbench import work
 from machine_tool_calibration.workbench.handed_over import left
 from machine_tool_calibration.workbench.live_feed import Feed
-from machine_tool_calibration.workbench.models import Progress, looked_ahead
+from machine_tool_calibration.workbench.models import Progress
 from machine_tool_calibration.workbench.page import _Window
 from machine_tool_calibration.workbench.process import Calculation, FaultError, warm_up
 from machine_tool_calibration.workbench.state import Job, State
@@ -175,7 +176,7 @@ def test_a_calculation_is_ended_and_its_errors_come_back(hidden: Path) -> None:
         told.append(what)
         ahead.end()
 
-    ahead = Calculation(partial(looked_ahead, state.subject, state.model))
+    ahead = Calculation(partial(outlooks, state.subject.chosen(state.model), state.model.fit.result))
     with pytest.raises(CalibrationError, match="has ended"):
         ahead.outcome(stop)
     assert told == ["what is known now"]

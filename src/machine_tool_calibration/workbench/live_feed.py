@@ -51,8 +51,10 @@ class LiveMap:
     residual: Array  # (n,) m
 
     @staticmethod
-    def of_session(session: Session, variant: str | None, own: Sequence[PhysicalEffect]) -> LiveMap:
-        """Calculated from readings; a CalibrationError if they do not allow it."""
+    def of_session(
+        session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress | None = None
+    ) -> LiveMap:
+        """Calculated from readings, without any progress; a CalibrationError if they do not allow it."""
         result = complete.identify(FitRequest((session,), None, variant, (), tuple(own)))
         assert isinstance(result, Result)  # of a single session
         readings = result.fit.model.observations.readings
@@ -200,7 +202,7 @@ class Feed:
         try:
             asked = _session(*self.heard.session()), self._variant, self._own
             if len(asked[0].readings) > _READINGS_APART:
-                found = Calculation(partial(_calculated, *asked)).outcome(lambda what, share: None)
+                found = Calculation(partial(LiveMap.of_session, *asked)).outcome(lambda what, share: None)
             else:
                 found = LiveMap.of_session(*asked)
             self.why_not = ""
@@ -222,10 +224,6 @@ class Feed:
             self.fall = []
         elif found.error_map.determined:
             self.fall.append((len(found.row), found.error_map.determined, found.error_map.largest_expanded))
-
-
-def _calculated(session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress) -> LiveMap:
-    return LiveMap.of_session(session, variant, own)
 
 
 def _session(description: str, readings: Sequence[Reading], *, check: bool = True) -> Session:

@@ -15,7 +15,7 @@ from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of
+from machine_tool_calibration.diagnosis.improve import Step, accepted_models
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -24,7 +24,7 @@ from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
-from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
+from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of
 from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
 from machine_tool_calibration.reports.planning import forecast_parts
@@ -159,14 +159,6 @@ class Subject:
             models.append(replace(made, number=entry.number))
         return models
 
-    def entries(self, models: Sequence[Model], prints: Sequence[str], made: str) -> list[Entry]:
-        """Models, each made from the one before, as entries of a history that were `made` at a time, ISO 8601."""
-        data = fingerprint(*self.measurement.sessions)
-        return [
-            entry_of(one.step, data, prints, made, "workbench", number=one.number or k)
-            for k, one in enumerate(models, 1)
-        ]
-
     def _rows(self, session: int, numbers: Iterable[int]) -> tuple[int, ...]:
         first, count = self.first[session], len(self.measurement.sessions[session].readings)
         return tuple(sorted(number - first for number in numbers if 0 <= number - first < count))
@@ -239,11 +231,6 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
         if (aside, chosen.effects) != (models[-1].aside, models[-1].fit.chosen.effects):
             models.append(subject.tried(models[-1], change, chosen, aside, model.kept, away))
     return models[1:]
-
-
-def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:
-    """What is known with a model, and what would be after each further measurement."""
-    return outlooks(subject.chosen(model), model.fit.result, progress)
 
 
 def planned(

@@ -9,7 +9,6 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from enum import Enum, auto
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -58,12 +57,8 @@ class Calculation:
                 process.kill()
         try:
             process.pipe.send(self._work)
-            while True:
-                kind, said = process.pipe.recv()
-                if kind is _Said.PROGRESS:
-                    progress(*said)
-                else:
-                    break
+            while (said := process.pipe.recv())[0] == "progress":
+                progress(*said[1])
         except (EOFError, ConnectionError):
             process.kill()
             raise CalibrationError("the process that calculated it has ended") from None
@@ -74,9 +69,10 @@ class Calculation:
             self._process = None
             if not self._ended:
                 process.rest()
-        if kind is _Said.RAISED:
-            raise said
-        return said
+        kind, outcome = said
+        if kind == "raised":
+            raise outcome
+        return outcome
 
     def end(self) -> None:
         """Have it end at once; nothing happens where it is over."""
@@ -84,14 +80,6 @@ class Calculation:
             self._ended = True
             if self._process is not None:
                 self._process.kill()
-
-
-class _Said(Enum):
-    """What a process sends of a calculation."""
-
-    PROGRESS = auto()
-    FOUND = auto()
-    RAISED = auto()
 
 
 class _Process:
@@ -136,7 +124,7 @@ def _memory(process: int | None) -> float:
 
 
 def _calculate(pipe: Connection) -> None:
-    """In the process: calculate, and send progress and the outcome, again and again."""
+    """In the process: calculate, and send "progress" and what was "found" or "raised", again and again."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page's process, which ends this one
     while True:
         try:
@@ -144,14 +132,14 @@ def _calculate(pipe: Connection) -> None:
         except EOFError:
             return
         try:
-            outcome = _Said.FOUND, work(lambda what, share: pipe.send((_Said.PROGRESS, (what, share))))
+            outcome = "found", work(lambda what, share: pipe.send(("progress", (what, share))))
         except BrokenPipeError:
             return  # nobody waits for it
         except (CalibrationError, OSError) as error:
-            outcome = _Said.RAISED, error
+            outcome = "raised", error
         except Exception as error:
             logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
-            outcome = _Said.RAISED, FaultError(repr(error))
+            outcome = "raised", FaultError(repr(error))
         try:
             pipe.send(outcome)
         except BrokenPipeError:

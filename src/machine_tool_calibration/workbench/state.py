@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.diagnosis.improve import entry_of
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.recording.open import is_session_folder
-from machine_tool_calibration.reports.history import history_path, update_history
+from machine_tool_calibration.reports.history import fingerprint, history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
@@ -246,7 +247,11 @@ class State:
 
     def entries(self) -> list[Entry]:
         """The models as entries of a history."""
-        return self.subject.entries(self.models, self._prints, datetime.now(UTC).isoformat(timespec="seconds"))
+        now, data = datetime.now(UTC).isoformat(timespec="seconds"), fingerprint(*self.sessions)
+        return [
+            entry_of(one.step, data, self._prints, now, "workbench", number=one.number or k)
+            for k, one in enumerate(self.models, 1)
+        ]
 
     def _tell(self, furthest: Model | None = None) -> None:
         self.furthest = furthest or self.models[-1]
