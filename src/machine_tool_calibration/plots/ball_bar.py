@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of circles with a ball bar: radial deviations around the circle, both ways (ISO 230-4)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure, numbers, round_down
+from machine_tool_calibration.plots.style import COLORS, NOMINAL, Axes, Figure, new_figure, numbers, round_down
 from machine_tool_calibration.reports.quantities import as_exact
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Share of the drawn radius that the largest deviation takes.
 _SHARE = 0.35

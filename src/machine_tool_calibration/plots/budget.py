@@ -1,22 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who contributes what to the uncertainty of a result."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from machine_tool_calibration.budget.propagate import Budget, Sum
-from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, new_figure
+from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, Axes, Figure, new_figure
 from machine_tool_calibration.reports.budget import chosen_sums, default_names, sum_name, unit_of
 from machine_tool_calibration.words import named, say, together
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 # Contributors with a colour of their own, and quantities below each other.
 _MOST_COLORS, _MOST_BARS = 6, 24

@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a model against its readings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots import residuals
-from machine_tool_calibration.plots.style import COLORS, name_axes, new_figure, save
+from machine_tool_calibration.plots.style import COLORS, Axes, Figure, name_axes, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _PANELS = 6
 # Setups that a legend names.

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a diagnosis, with what the best candidate explains and residuals depend on, and of the error falling."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +15,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.plots.residuals import axis_label, color, draw_residuals, grids
-from machine_tool_calibration.plots.style import new_figure, save
+from machine_tool_calibration.plots.style import Axes, Figure, new_figure, save
 from machine_tool_calibration.reports.diagnosis import ROWS_SHOWN
 from machine_tool_calibration.reports.diagnosis_document import candidate_document
 from machine_tool_calibration.reports.documents import write_table
@@ -27,10 +25,6 @@ from machine_tool_calibration.reports.verdict import verdict_line
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import named, say, together
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _LISTED = 8
 _MEANS = 16

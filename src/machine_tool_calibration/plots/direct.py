@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of direct deviations: an axis by ISO 230-2, tables of error motions, and a map with arrows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.plots.error_map import draw_plane, draw_tables
-from machine_tool_calibration.plots.style import COLORS, new_figure, numbers
+from machine_tool_calibration.plots.style import COLORS, Axes, Figure, new_figure, numbers
 from machine_tool_calibration.reports.quantities import as_exact
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Of figures of ISO 230-2 whose name in the document is not what people call them.
 _SYMBOLS = {"B_mean": say("picture.mean_B"), "R_up": "R↑", "R_down": "R↓"}

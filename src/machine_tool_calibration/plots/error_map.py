@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +13,9 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.plots import style
+from machine_tool_calibration.plots.style import Axes, Figure
 from machine_tool_calibration.reports.quantities import as_exact, quantity
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:

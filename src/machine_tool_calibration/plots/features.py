@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Picture of a probed part's features: deviations magnified, with ellipses of uncertainty (the paper's Fig. 17)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +10,8 @@ from machine_tool_calibration.coverage import K
 from machine_tool_calibration.methods.probing.features import Features
 from machine_tool_calibration.methods.probing.geometry import Circle, Line
 from machine_tool_calibration.plots import style
+from machine_tool_calibration.plots.style import Axes, Figure
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Share of the drawing's width that the largest deviation takes.
 _LENGTH = 0.16

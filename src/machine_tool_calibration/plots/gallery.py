@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each effect's residuals look like: one picture an effect."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +13,11 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.files import save
 from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots import residuals
-from machine_tool_calibration.plots.style import name_axes, new_figure
+from machine_tool_calibration.plots.style import Figure, name_axes, new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Advantage, in share of the residuals' variance, of each column on which the effect depends by its formula.
 _OWN = 0.2

@@ -17,6 +17,8 @@ from machine_tool_calibration.plots.style import (
     FOUND,
     MARKERS,
     NOMINAL,
+    Axes,
+    Figure,
     magnification,
     mark_lost,
     name_axes,
@@ -29,9 +31,6 @@ from machine_tool_calibration.session.session import distinct_places
 from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from machine_tool_calibration.export.compensation import ResidualErrors
     from machine_tool_calibration.methods.map_comparison import MapComparison
     from machine_tool_calibration.planning.best_plan import BestPlan, PlanQuality

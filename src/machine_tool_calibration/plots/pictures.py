@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pictures of a result, whatever the method."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def figures(sessions: Sequence[Session], result: Mapping[str, Any]) -> dict[str, Figure]:

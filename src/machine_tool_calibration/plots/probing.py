@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a probing self-calibration, as in the paper's Figs. 9, 12, 13, 14 and 18, with uncertainties."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.coverage import K
-from machine_tool_calibration.plots.style import magnification, name_axes, new_figure, numbers, spaced
+from machine_tool_calibration.plots.style import Axes, Figure, magnification, name_axes, new_figure, numbers, spaced
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08

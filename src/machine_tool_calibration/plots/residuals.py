@@ -1,22 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of pictures of residuals: against a covariate, and as arrows where they were read."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.plots.style import COLORS, round_down
+from machine_tool_calibration.plots.style import COLORS, Axes, Figure, round_down
 from machine_tool_calibration.residuals.covariates import bins
 from machine_tool_calibration.words import named, say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.

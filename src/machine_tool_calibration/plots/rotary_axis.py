@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a rotary axis: its six error motions (Zhang et al. 2015, Fig. 6) and the arrangement."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.plots.style import draw_band, mark_lost, name_axes, new_figure, numbers
+from machine_tool_calibration.plots.style import Axes, Figure, draw_band, mark_lost, name_axes, new_figure, numbers
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:

@@ -16,11 +16,13 @@ from machine_tool_calibration.files import whole
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
     from matplotlib.transforms import Bbox
 
     from machine_tool_calibration.session.provenance import Provenance
+else:  # loading matplotlib takes half a second, and few verbs draw
+    Axes = Figure = object
 
 _DPI = 110
 # Size of the letters at the foot, points, and the width that one takes on average, inches.

@@ -1,24 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a tracking interferometer's session: the map, the error motions, and where the stations stood."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
-from machine_tool_calibration.plots.style import COLORS, NOMINAL, name_axes, new_figure, numbers
+from machine_tool_calibration.plots.style import COLORS, NOMINAL, Axes, Figure, name_axes, new_figure, numbers
 from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 __all__ = ["draw_map", "draw_stations", "figures"]
 

@@ -6,13 +6,10 @@ from __future__ import annotations
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from machine_tool_calibration.plots.style import BAND, COLORS, MARKERS, new_figure
+from machine_tool_calibration.plots.style import BAND, COLORS, MARKERS, Axes, Figure, new_figure
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from machine_tool_calibration.trends.trend import Course, Trend
 
 # Numbers that are drawn, in the order of the table, and panels beside each other.
