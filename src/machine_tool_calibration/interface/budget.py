@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The uncertainty budget of a result, and whether the result conforms to tolerances."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -14,12 +12,10 @@ from machine_tool_calibration.budget.conformity import Conformity as Judged
 from machine_tool_calibration.budget.propagate import Budget as Propagated
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.budget import draw_budget
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.budget import budget_document, budget_parts, conformity_document, conformity_parts
 from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.reports.tables import Part
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)

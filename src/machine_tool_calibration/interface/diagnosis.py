@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -19,14 +19,12 @@ from machine_tool_calibration.interface.show import Answer, chosen, notebook, pr
 from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.compare import draw_setups, figures
 from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.comparison import comparison_document, comparison_parts
 from machine_tool_calibration.reports.diagnosis import diagnosis_parts
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.reports.verdict import verdict_line
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)

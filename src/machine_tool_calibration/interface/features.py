@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Features of a probed part as tables, a picture, a text and a document."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -17,12 +15,10 @@ from machine_tool_calibration.methods.probing.features import Features as Found
 from machine_tool_calibration.methods.probing.features import MonteCarlo
 from machine_tool_calibration.methods.probing.geometry import Circle, Element
 from machine_tool_calibration.plots.features import draw_features
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, ROUNDING, decimals, fixed, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy.typing as npt
 import pandas as pd
@@ -38,15 +38,12 @@ from machine_tool_calibration.methods.probing.features import Distribution, feat
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures
-from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.plots.style import Figure, save
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.identification import Measured, result_parts
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.contributor import Contributor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)

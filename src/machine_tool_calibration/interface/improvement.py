@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import pandas as pd
 
@@ -26,13 +26,11 @@ from machine_tool_calibration.plots.diagnosis import (
     residuals_before_and_after,
     step_table,
 )
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.improvement import improvement_document, improvement_parts
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.residuals.noise import noise_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)

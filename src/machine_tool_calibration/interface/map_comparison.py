@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two maps of one machine held against each other, as a table, a picture and a text."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,13 +13,11 @@ from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.maps import draw_map_comparison
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import ROUNDING, p_value, plus_minus, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Points of a table for people: of more, those of which the maps differ most.
 _MOST_POINTS = 25

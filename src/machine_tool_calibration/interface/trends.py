@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One machine over months, as a text, a picture and a document."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.plots.trend import draw_trend
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.tables import Part
@@ -17,9 +16,6 @@ from machine_tool_calibration.trends.check import LEVEL
 from machine_tool_calibration.trends.check import Check as Checked
 from machine_tool_calibration.trends.trend import ALARM, Course
 from machine_tool_calibration.trends.trend import Trend as Followed
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)

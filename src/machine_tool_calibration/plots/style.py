@@ -21,8 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Bbox
 
     from machine_tool_calibration.session.provenance import Provenance
-else:  # loading matplotlib takes half a second, and few verbs draw
-    Axes = Figure = object
+else:  # loading matplotlib takes half a second, and few verbs draw: these are for annotations alone
+
+    class Axes:
+        """Of matplotlib."""
+
+    class Figure:
+        """Of matplotlib."""
+
 
 _DPI = 110
 # Size of the letters at the foot, points, and the width that one takes on average, inches.
