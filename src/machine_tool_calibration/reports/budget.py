@@ -132,14 +132,9 @@ def _part(one: Sum, k: int) -> str:
 
 
 def _degrees_of_freedom(value: float) -> str:
-    text = (
-        "∞"
-        if math.isinf(value)
-        else f"{value:.0f}"
-        if value <= _MOST_DEGREES_OF_FREEDOM
-        else f"> {_MOST_DEGREES_OF_FREEDOM}"
-    )
-    return f"{text:>6}"
+    if value <= _MOST_DEGREES_OF_FREEDOM:
+        return f"{value:>6.0f}"
+    return f"{'∞' if math.isinf(value) else f'> {_MOST_DEGREES_OF_FREEDOM}':>6}"
 
 
 def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
@@ -222,7 +217,7 @@ def _line_document(line: Line) -> dict[str, Any]:
 
 
 def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
-    dof = one.degrees_of_freedom
+    dof, own = one.degrees_of_freedom, one.u_identification
     out: dict[str, Any] = {
         "name": one.quantity.name,
         "unit": one.quantity.unit,
@@ -237,15 +232,11 @@ def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
         "effective_degrees_of_freedom": None if math.isinf(dof) else dof,
         "coverage_factor": one.k,
         "expanded_uncertainty": one.expanded,
-        "identification": {
-            "standard_uncertainty": one.u_identification if math.isfinite(one.u_identification) else None
-        },
+        "identification": {"standard_uncertainty": own if math.isfinite(own) else None},
     }
     if budget.drawn is not None and one.index is not None:
-        out["monte_carlo"] = {
-            "standard_uncertainty": float(budget.drawn.u[one.index]),
-            "interval": list(budget.drawn.interval(one.index)),
-        }
+        u, interval = float(budget.drawn.u[one.index]), list(budget.drawn.interval(one.index))
+        out["monte_carlo"] = {"standard_uncertainty": u, "interval": interval}
     return out
 
 

@@ -236,11 +236,8 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
             yield _table(say("compared.by", name=name), parts, (name, *_FIGURES, "worst_row"), most=_MOST_LABELS)
     if len(comparison.regions):
         ranked = comparison.regions.sort_values("reduced_chi_square", ascending=False, kind="stable")
-        worst = (
-            ranked.groupby("axis", sort=False)
-            .head(_MOST_REGIONS)
-            .sort_values("axis", kind="stable", key=lambda names: names.map([*_UNITS].index))
-        )
+        worst = ranked.groupby("axis", sort=False).head(_MOST_REGIONS)
+        worst = worst.sort_values("axis", kind="stable", key=lambda names: names.map([*_UNITS].index))
         yield _table(say("compared.regions"), worst, ("axis", "place_on_axis", *_FIGURES[:3], "mean_um"))
     if len(comparison.approaches):
         keys = ("axis", "after", *[*_UNCERTAIN][2:], "p_value")

@@ -52,22 +52,18 @@ def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]
     )
 
 
-def _hidden_table(diagnosis: Diagnosis) -> TextTable:
-    """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
-    rows = _rows(diagnosis, False)
-    wrong = any(unknown.in_map for a in _absorbed(diagnosis, False) for unknown in a.by[:1])
-    note = say("found.wrong_map") if wrong else ""
-    return TextTable(say("found.hidden"), heads("effects", "taken_for"), rows, note)
+def _absorbed_tables(diagnosis: Diagnosis) -> Iterator[TextTable]:
+    """Effects that would not show, because they are fully correlated with unknowns of the setups or the map.
 
-
-def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
-    by = names_by_reason((a.effect, _words(a, of_map, diagnosis)) for a in _absorbed(diagnosis, of_map))
-    return tuple((", ".join(names), what) for what, names in by.items())
-
-
-def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
+    And errors of the machine that are part of the map already: whatever their size, nothing needs to be added.
+    """
     known, surface = _effects(diagnosis), spec_of(diagnosis.chosen.sessions[0]).probes_surface
-    return [a for a in diagnosis.search.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
+    for of_map, title, *columns in ((False, "hidden", "effects", "taken_for"), (True, "in_map", "errors", "part_of")):
+        own = [a for a in diagnosis.search.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
+        by = names_by_reason((a.effect, _words(a, of_map, diagnosis)) for a in own)
+        wrong = not of_map and any(unknown.in_map for a in own for unknown in a.by[:1])
+        rows = tuple((", ".join(names), what) for what, names in by.items())
+        yield TextTable(say(f"found.{title}"), heads(*columns), rows, say("found.wrong_map") if wrong else "")
 
 
 def _of_the_map(absorbed: Absorbed, effect: Effect | None, surface: bool) -> bool:
@@ -127,9 +123,7 @@ def diagnosis_report(
     details = [
         _confounded(diagnosis, advice),
         _next(advice),
-        _hidden_table(diagnosis),
-        # Errors of the machine that are part of the map already: whatever their size, nothing needs to be added.
-        TextTable(say("found.in_map"), heads("errors", "part_of"), _rows(diagnosis, True)),
+        *_absorbed_tables(diagnosis),
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]

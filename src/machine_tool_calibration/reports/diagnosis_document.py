@@ -153,12 +153,8 @@ def _detectable(diagnosis: Diagnosis) -> Iterator[dict[str, Any]]:
     for f in diagnosis.search.findings:
         if smallest := smallest_sizes(f):
             units = {size.coefficient.name: size.coefficient.unit for size in f.sizes}
-            yield {
-                "effect": f.name,
-                "smallest": [
-                    {"name": f"{f.name}.{key}", "value": value, "unit": units[key]} for key, value in smallest.items()
-                ],
-            }
+            sizes = [{"name": f"{f.name}.{key}", "value": size, "unit": units[key]} for key, size in smallest.items()]
+            yield {"effect": f.name, "smallest": sizes}
 
 
 def smallest_sizes(found: Finding) -> dict[str, float | None]:

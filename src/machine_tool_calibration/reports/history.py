@@ -17,6 +17,7 @@ from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.files import whole, writing
 from machine_tool_calibration.recording.open import is_session_folder
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import micrometres, of_map, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, table
 from machine_tool_calibration.session.record import validated
@@ -24,8 +25,6 @@ from machine_tool_calibration.session.text import LARGEST_TABLE, read_yaml
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from machine_tool_calibration.session.session import Session
 
 HISTORY_FILE = "history.yaml"
@@ -63,13 +62,8 @@ def fingerprint(*sessions: Session) -> str:
     (session,) = sessions
     readings = session.readings
     digest = hashlib.sha256(session.method.encode())
-    arrays: list[tuple[str, np.ndarray]] = [
-        ("setup", readings.setup),
-        ("repeat", readings.repeat),
-        ("displacement", readings.displacement),
-        *sorted(readings.columns.items()),
-    ]
-    for name, values in arrays:
+    of_each = picked(readings, "setup", "repeat", "displacement")
+    for name, values in (*of_each.items(), *sorted(readings.columns.items())):
         digest.update(name.encode() + b"\0" + values.tobytes())
     for name, labels in sorted(readings.labels.items()):
         digest.update("\0".join([name, *(str(v) for v in labels)]).encode())
@@ -184,13 +178,8 @@ def compared_models(one: Entry, other: Entry) -> TextTable:
     rows: list[tuple[str, ...]] = [(say(key), *map(shown, both)) for key, shown in _FIGURES.items()]
     known = [{p.name: p for p in entry.parameters} for entry in both]
     for name in dict.fromkeys([*known[0], *known[1]]):
-        texts = [
-            quantity(k[name].value, k[name].unit, k[name].standard_uncertainty) if name in k else "–" for k in known
-        ]
-        rows.append((name, *texts))
-    return TextTable(
-        say("history.side"),
-        ("", *(say("history.model", n=entry.number) for entry in both)),
-        tuple(rows),
-        say("history.coefficients") if len(rows) > len(_FIGURES) else "",
-    )
+        found = (k.get(name) for k in known)
+        rows.append((name, *(quantity(p.value, p.unit, p.standard_uncertainty) if p else "–" for p in found)))
+    columns = ("", *(say("history.model", n=entry.number) for entry in both))
+    note = say("history.coefficients") if len(rows) > len(_FIGURES) else ""
+    return TextTable(say("history.side"), columns, tuple(rows), note)

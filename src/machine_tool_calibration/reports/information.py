@@ -92,14 +92,9 @@ def session_parts(session: Session, summary: SessionSummary) -> Iterator[Part]:
 
 def counts_in_words(session: Session, summary: SessionSummary) -> str:
     """How many readings there are, in what time, and their declared uncertainty."""
-    return say(
-        "recorded.counts" if summary.duration is None else "recorded.counts_in",
-        n=summary.readings,
-        time=duration(summary.duration),
-        missing=summary.missing,
-        targets=summary.targets,
-        declared=declared_words(session.description.standard_uncertainty),
-    )
+    key = "recorded.counts" if summary.duration is None else "recorded.counts_in"
+    counts = picked(summary, "missing", "targets") | {"n": summary.readings, "time": duration(summary.duration)}
+    return say(key, **counts, declared=declared_words(session.description.standard_uncertainty))
 
 
 def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTable]:

@@ -39,9 +39,8 @@ def dominant_words(found: Dominant) -> Iterator[str]:
         if remedy.seconds is not None:
             key = "found.remedy_besides" if remedy.aside else "found.remedy_time"
             measure = say(key, measure=measure, time=duration(remedy.seconds), besides=remedy.aside)
-        left, again = (
-            None if u is None else f"{100 * u / found.uncertainty:.0f}" for u in (remedy.uncertainty, found.again)
-        )
+        ends = remedy.uncertainty, found.again
+        left, again = (None if u is None else f"{100 * u / found.uncertainty:.0f}" for u in ends)
         key = "found.remedy" if again is None else "found.remedy_again"
         yield say(key, measure=measure, share=left, again=again)
     if not found.remedies:

@@ -57,18 +57,16 @@ def _alignment_lines(centre: Centre | None, zero: ZeroAngle | None, setup: str) 
 
 def alignment_document(centre: Centre | None, zero: ZeroAngle | None) -> dict[str, Any]:
     """For programs: SI units, standard uncertainties; null where it was not looked for."""
-    return {
-        "format": "mtcal-pointer-alignment/1",
-        "centre": None
-        if centre is None
-        else {
-            "position": centre.centre.tolist(),
-            "position_u": centre.u.tolist(),
-            "covariance": centre.covariance.tolist(),
-            "eccentricity": centre.offset.tolist(),
-            "contributions": {name: u.tolist() for name, u in centre.contributions.items()},
+    found = None
+    if centre is not None:
+        found = {
+            "position": centre.centre,
+            "position_u": centre.u,
+            "covariance": centre.covariance,
+            "eccentricity": centre.offset,
+            "contributions": centre.contributions,
             "radial_error_motion": centre.radial,
             "scatter": centre.scatter,
-        },
-        "zero_angle": None if zero is None else {"value": zero.offset, "u": zero.u, "scatter": zero.scatter},
-    }
+        }
+    angle = None if zero is None else {"value": zero.offset, "u": zero.u, "scatter": zero.scatter}
+    return {"format": "mtcal-pointer-alignment/1", "centre": found, "zero_angle": angle}

@@ -126,18 +126,13 @@ def trend_words(found: Trend) -> Iterator[str]:
     """What has changed, what another instrument explains, what is beyond a limit; a sentence each."""
     for one in found.courses:
         if one.changed and one.explanation is not None:
-            size, p = (
-                quantity(one.explanation.change, one.unit, one.explanation.u),
-                probability(one.explanation.probability),
-            )
-            values = {"name": one.name, "size": size, "first": one.began[0], "last": one.began[1], "p": p}
+            size = quantity(one.explanation.change, one.unit, one.explanation.u)
+            p, (first, last) = probability(one.explanation.probability), one.began
             more = {"now": one.dates[-1]} if one.kind == "drift" else {}
-            yield say(f"trend.says_{one.kind}", **values, **more)
+            yield say(f"trend.says_{one.kind}", name=one.name, size=size, first=first, last=last, p=p, **more)
         if one.against_limit in ("exceeded", "open") and one.limit is not None:
-            limit = quantity(one.limit, one.unit)
-            yield say(
-                f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=one.dates[-1]
-            )
+            limit, date = quantity(one.limit, one.unit), one.dates[-1]
+            yield say(f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=date)
     shifted = [(one, one.explanation) for one in found.courses if one.explanation is not None and one.shifted]
     if shifted:
         most, said = max(shifted, key=lambda pair: abs(pair[1].step) / pair[1].u_step)

@@ -134,16 +134,10 @@ def _diagonals(found: Mapping[str, Any]) -> Iterator[TextTable]:
 
 
 def _rotary(found: Sequence[Mapping[str, Any]], line: Mapping[str, Any]) -> TextTable:
-    rows = [
-        (
-            say(f"iso230.{one['kind'].replace(' ', '_')}"),
-            one["motion"],
-            _said(one["value"], one["U"]),
-            f"µ{one['unit']}",
-            str(one["angles"]),
-        )
-        for one in found
-    ]
+    rows = []
+    for one in found:
+        kind, value = say(f"iso230.{one['kind'].replace(' ', '_')}"), _said(one["value"], one["U"])
+        rows.append((kind, one["motion"], value, f"µ{one['unit']}", str(one["angles"])))
     for name in (name for name in line if f"{name}_u" in line):
         u = line[f"{name}_u"]
         shown = _said(line[name], None if u is None else K * u)

@@ -83,10 +83,8 @@ def verdict_words(
 def verdict_line(diagnosis: Diagnosis) -> str:
     """The verdict in one line."""
     if diagnosis.verdict == "missing_effect":
-        found = (
-            say("verdict.with_probability", name=name, p=probability(diagnosis.search.of(name).probability))
-            for name in diagnosis.accepted
-        )
+        sure = {name: probability(diagnosis.search.of(name).probability) for name in diagnosis.accepted}
+        found = (say("verdict.with_probability", name=name, p=p) for name, p in sure.items())
         return say("verdict.missing", names=together(found, ", "))
     if diagnosis.verdict == "outliers":
         return say("verdict.stand_out", what=stand_out(len(diagnosis.gross_errors)))
@@ -220,17 +218,11 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
     law = say("diagnosis.formula", name=name, formula=effect.formula) if effect is not None else f"{name}."
     words = [law, *(_changed(change) if change is not None else ())]
     words.append(say("diagnosis.probable", p=probability(found.probability)))
-    if predicted := diagnosis.predicted.get(name, ()):
-        shares = [
-            say(
-                "diagnosis.needed" if p.needed else "diagnosis.left_out",
-                what=p.what,
-                gain=f"{100 * p.gain:+.0f}",
-                needed=p.needed,
-                count=len(p.log_gains) + p.needed,
-            )
-            for p in predicted
-        ]
+    shares = []
+    for p in diagnosis.predicted.get(name, ()):
+        key, count = "diagnosis.needed" if p.needed else "diagnosis.left_out", len(p.log_gains) + p.needed
+        shares.append(say(key, what=p.what, gain=f"{100 * p.gain:+.0f}", needed=p.needed, count=count))
+    if shares:
         words.append(say("diagnosis.predicted", shares=together(shares, ", ")))
     if not found.plausible:
         words.append(say("diagnosis.implausible"))
