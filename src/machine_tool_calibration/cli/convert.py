@@ -124,12 +124,8 @@ def _mapping_from(given: dict[str, Any], description: Path | None = None) -> tup
         content["layout"] = "long"
     if given["up"] or given["down"]:
         pairs = zip_longest(given["up"], given["down"])
-        content["runs"] = [
-            {"column": name, "direction": direction}
-            for pair in pairs
-            for name, direction in zip(pair, ("up", "down"), strict=True)
-            if name is not None
-        ]
+        runs = [(name, way) for pair in pairs for name, way in zip(pair, ("up", "down"), strict=True)]
+        content["runs"] = [{"column": name, "direction": way} for name, way in runs if name is not None]
     session: dict[str, Any] = {key: given[key] for key in ("datum", "instrument")}
     session["standard_uncertainty"] = given["uncertainty"]
     session["machine"] = {"chain": given["chain"]} if given["chain"] else None
@@ -143,10 +139,8 @@ def _mapping_from(given: dict[str, Any], description: Path | None = None) -> tup
         before = content.get("session")
         both = [key for key in said if isinstance(before, dict) and key in before and before[key] != said[key]]
         if both:
-            names = ", ".join(both)
-            raise CalibrationError(
-                f"{path}: session says {names} otherwise than --description {description}: say it in one"
-            )
+            other = f"otherwise than --description {description}: say it in one"
+            raise CalibrationError(f"{path}: session says {', '.join(both)} {other}")
         _update(content, "session", said, path)
     _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
     return content, "command line" if path is None else str(path)
@@ -290,10 +284,8 @@ def command(
         shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
         read = f": {document['readings']} readings" if "readings" in document else ""
-        show(
-            shared.console(),
-            [f"{target}{read}", *(f"  {topic}: {at}" for topic, at in document.get("topics", {}).items())],
-        )
+        of_topics = [f"  {topic}: {at}" for topic, at in document.get("topics", {}).items()]
+        show(shared.console(), [f"{target}{read}", *of_topics])
     for topic in document.get("skipped", ()):
         shared.note(f"{topic} was left out: its messages have a type that cannot be read")
 

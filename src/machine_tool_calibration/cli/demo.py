@@ -137,12 +137,7 @@ _HIDDEN = {
     "probing": {"backlash_y": (4e-6, 8e-6)},
     "direct": {"backlash_x": (1e-6, 4e-6)},
 }
-_PROCEDURES = {
-    "step_diagonal": "step_diagonal",
-    "rotary_axis": "rotary_axis",
-    "probing": "probing_cross",
-    "direct": "direct_iso230_2",
-}
+_PROCEDURES = {"probing": "probing_cross", "direct": "direct_iso230_2"}
 
 
 @dataclass(frozen=True)
@@ -189,10 +184,9 @@ def command(
     """
     number = int(np.random.default_rng().integers(1_000_000)) if seed is None else seed
     hidden = _hidden(method, number, hide)
-    procedure = _PROCEDURES.get(method, f"tracking_{dimension}d")
-    setting = Setting(
-        output=free_folder("demo", output), site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()), **graph
-    )
+    procedure = f"tracking_{dimension}d" if method == "tracking" else _PROCEDURES.get(method, method)
+    site = SiteSpec(seed=number, effects=(hidden,) if hidden else ())
+    setting = Setting(output=free_folder("demo", output), site=site, **graph)
     with readings_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)
     with progress_bar() as share:

@@ -16,15 +16,14 @@ from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.shared import FOLDER, PATH, json_option, note, progress_bar, save_picture, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.files import save
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.tables import suspicion_words
 from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from machine_tool_calibration.export.compensation import Compensation, Exported
     from machine_tool_calibration.methods.fitted import FitRequest
-    from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.fit import JointFit
-    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.identification import Measured
 
 
@@ -35,9 +34,7 @@ def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
 
     if not only_if_right(fit.p_value, content):
         return None
-    words = goodness_of_fit(
-        {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
-    )
+    words = goodness_of_fit(picked(fit, "reduced_chi_square", "p_value") | {"error_map": content})
     return f"warning: {words} `mtcal diagnose` looks for what is missing."
 
 
@@ -107,8 +104,25 @@ def command(
     suspicious = suspicions(fit.chosen.sessions, fit.chosen.labels)
     folder = output or Path(f"compensation_{form}")
     pictures = _save(folder, found, made, f"{form}: {source}" if plot else "")
-    document = {"to": form, "folder": folder, "pictures": pictures, "suspicious": suspicious}
-    document |= _document(result, found, made)
+    document = {
+        "to": form,
+        "folder": folder,
+        "pictures": pictures,
+        "suspicious": suspicious,
+        "format": "mtcal-exported/1",
+        "model": result.model_name if isinstance(result, Result) else list(result.model_names),
+        **picked(result.joint, "reduced_chi_square", "p_value"),
+        "files": list(made.files),
+        "provenance": found.origin.document(),
+        "tables": [table.name for table in found.tables.tables],
+        "squareness": list(found.tables.squareness),
+        "not_determined": found.tables.left_out,
+        "not_in_tables": made.absent,
+        "remarks": made.remarks,
+        "preview": made.left,
+        "worse": made.worse,
+        "worse_along": [one.name for one in made.worse_along],
+    }
     written = [folder / name for name in made.files]
     absent = [absent_words(made)] if made.absent else []
     tell_either(document, [*map(str, written), left_table(made), *absent, *suspicion_words(suspicious)], as_json)
@@ -123,26 +137,6 @@ def command(
         note(result.agreement.statement)
     if harm := harm_words(made):
         note(f"warning: {harm}")
-
-
-def _document(result: Result | JointResult, found: Compensation, made: Exported) -> dict[str, Any]:
-    """What was fitted, what the files hold and what they would leave."""
-    return {
-        "format": "mtcal-exported/1",
-        "model": list(result.model_names) if hasattr(result, "model_names") else result.model_name,
-        "reduced_chi_square": result.joint.reduced_chi_square,
-        "p_value": result.joint.p_value,
-        "files": list(made.files),
-        "provenance": found.origin.document(),
-        "tables": [table.name for table in found.tables.tables],
-        "squareness": list(found.tables.squareness),
-        "not_determined": found.tables.left_out,
-        "not_in_tables": made.absent,
-        "remarks": made.remarks,
-        "preview": made.left,
-        "worse": made.worse,
-        "worse_along": [one.name for one in made.worse_along],
-    }
 
 
 def _with_tables(wanted: Wanted, measured: Measured) -> FitRequest:

@@ -7,6 +7,7 @@ import click
 
 from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.words import say
 
 machine_option = click.option("--machine", help="The machine, where a logbook has several.")
@@ -57,16 +58,13 @@ def add(
         with shared.progress_bar() as progress:
             fit = wanted.fit([path], progress)
             sizes = sizes_of(fit.result, progress)
-        entry = entry_of(
-            fit.measurement.sessions[0], label, fit.document(), sizes, machine=machine, date=date, instrument=instrument
-        )
-        told, added = Logbook(book).add(entry)
+        session, about = fit.measurement.sessions[0], {"machine": machine, "date": date, "instrument": instrument}
+        told, added = Logbook(book).add(entry_of(session, label, fit.document(), sizes, **about))
         said.append({"label": label, "added": added, "number": told.number, "sha256": told.sha256})
         if not as_json:
-            values = {"machine": told.machine, "date": told.date, "sum": told.sha256[:12], "count": len(told.sizes)}
-            shared.console().print(
-                say("logbook.added" if added else "logbook.there", label=label, n=told.number, **values)
-            )
+            key, values = "logbook.added" if added else "logbook.there", picked(told, "machine", "date")
+            values |= {"label": label, "n": told.number, "sum": told.sha256[:12], "count": len(told.sizes)}
+            shared.console().print(say(key, **values))
     if as_json:
         shared.write_json({"format": "mtcal-logbook-added/1", "book": str(book), "sessions": said})
 

@@ -100,16 +100,12 @@ def command(
     world = read_site(str(site)) if site is not None else SiteSpec()
     if seed is not None:
         world = world.model_copy(update={"seed": seed})
-    setting = Setting(
-        output=free_folder(read_procedure(file).name, output),
-        site=world,
-        parameters=None if parameters is None else parameters.resolve(),
-        until=wanted,
-        **asked,
-    )
-    with TemporaryDirectory() as folder:
+    folder = free_folder(read_procedure(file).name, output)
+    asked["parameters"] = None if parameters is None else parameters.resolve()
+    setting = Setting(output=folder, site=world, until=wanted, **asked)
+    with TemporaryDirectory() as own:
         if wanted is not None:
-            file = _soonest(file, wanted, setting.model or None, folder)
+            file = _soonest(file, wanted, setting.model or None, own)
         with readings_bar() as progress:
             measured = measure(file, setting, progress)
     parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]

@@ -98,15 +98,9 @@ def command(
         if len(chosen) != 1:
             raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
         chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
-    spec = spec_from(
-        read_spec(paths[0]) if len(paths) == 2 else None,
-        method=method,
-        preset=preset,
-        plan=plan,
-        machine=machine,
-        effects=chosen,
-        fields={name: value for name, value in numbers.items() if value is not None},
-    )
+    begun = read_spec(paths[0]) if len(paths) == 2 else None
+    fields = {name: value for name, value in numbers.items() if value is not None}
+    spec = spec_from(begun, method=method, preset=preset, plan=plan, machine=machine, effects=chosen, fields=fields)
     simulated = simulate(spec)
     _write(simulated, spec, paths[-1], overwrite)
     summary = _summary(simulated, paths[-1])
@@ -173,10 +167,8 @@ def _list(as_json: bool) -> None:
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
     keys = ("id", "formula", "unit", "typical", "methods", "listed")
-    document = {
-        "presets": {name: plan.method for name, plan in PRESETS.items()},
-        "effects": [picked(flaw, *keys) for flaw in FLAWS.values()],
-    }
+    known = [picked(flaw, *keys) for flaw in FLAWS.values()]
+    document = {"presets": {name: plan.method for name, plan in PRESETS.items()}, "effects": known}
     presets = tuple((name, plan.method.replace("_", " ")) for name, plan in PRESETS.items())
     rows = tuple((flaw.id, flaw.formula, quantity(flaw.typical, flaw.unit)) for flaw in FLAWS.values())
     effects = TextTable("Effects", ("effect", "what it does", "typical size"), rows)

@@ -52,9 +52,8 @@ def command(
     except ModuleNotFoundError as error:
         if error.name not in ("panel", "bokeh"):
             raise
-        raise CalibrationError(
-            f"`mtcal workbench` needs {error.name}: pip install 'machine_tool_calibration[workbench]'"
-        ) from None
+        needed = f"{error.name}: pip install 'machine_tool_calibration[workbench]'"
+        raise CalibrationError(f"`mtcal workbench` needs {needed}") from None
 
     def ready(address: str) -> None:
         click.echo(address)
