@@ -46,11 +46,9 @@ class Budget(Answer, Propagated):
         over all its numbers), `value`, combined standard uncertainty `u` and expanded uncertainty `U` in `unit`, with
         `degrees_of_freedom` (NaN: infinite) and `k`; `u_identification`, which the readings themselves show.
         """
-        frame = (
-            pd.json_normalize(self._document["quantities"]).reindex(columns=[*_QUANTITIES]).rename(columns=_QUANTITIES)
-        )
-        numeric = ("value", "degrees_of_freedom", "u_identification")
-        return frame.astype(dict.fromkeys(numeric, float))
+        frame = pd.json_normalize(self._document["quantities"])
+        numeric = dict.fromkeys(("value", "degrees_of_freedom", "u_identification"), float)
+        return frame.reindex(columns=[*_QUANTITIES]).rename(columns=_QUANTITIES).astype(numeric)
 
     @cached_property
     def contributions(self) -> pd.DataFrame:

@@ -20,12 +20,7 @@ from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.plots.diagnosis import (
-    draw_improvement,
-    draw_steps,
-    residuals_before_and_after,
-    step_table,
-)
+from machine_tool_calibration.plots.diagnosis import draw_improvement, draw_steps, residuals_by_reading, step_table
 from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.improvement import improvement_document, improvement_parts
 from machine_tool_calibration.reports.quantities import micrometres
@@ -56,10 +51,8 @@ class Improvement(Answer, Done):
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
         """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
-        return tuple(
-            Fit(replace(self.measurement, sessions=step.chosen.sessions), step.result, step.chosen)
-            for step in self.steps
-        )
+        used = [replace(self.measurement, sessions=step.chosen.sessions) for step in self.steps]
+        return tuple(Fit(own, step.result, step.chosen) for own, step in zip(used, self.steps, strict=True))
 
     @property
     def best(self) -> Fit:
@@ -81,7 +74,7 @@ class Improvement(Answer, Done):
     @property
     def residuals(self) -> pd.DataFrame:
         """Every reading with `residual_before` and `residual_after` (m; NaN where it was set aside)."""
-        return residuals_before_and_after(self)
+        return residuals_by_reading(self)
 
     @property
     def headline(self) -> str:
@@ -118,15 +111,7 @@ def improve(
     As `mtcal improve` does, without writing a history. Nothing is added unless the diagnosis names it as the cause;
     readings that do not belong to the rest are left out first.
 
-    Args:
-        session: what `load` gave, or whatever `load` takes.
-        model: variant of the method's model; the method's default if absent.
-        effects: in the first model already: ids, or effects of the user's own.
-        own: effects of the user's own that are looked for beside the catalogue.
-
-    Raises:
-        SessionError: a session cannot be read.
-        ModelError: the data does not allow the model, or an effect is unknown.
+    Arguments and errors are those of `identify`, the model and its effects those that it begins with.
     """
     measurement = load(session)
     ids, known = split_effects(effects, own)

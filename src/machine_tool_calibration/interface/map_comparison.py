@@ -55,11 +55,8 @@ class MapComparison(Answer, Compared):
     def parts(self) -> Iterator[Part]:
         """The differences, the motion between the datums and the verdict."""
         yield _differences(self)
-        moved = [
-            f"{m.name} {quantity(m.value, m.unit, m.u)}"
-            for m in self.motion
-            if np.isfinite(m.value) and max(abs(m.value), m.u) > ROUNDING
-        ]
+        known = [m for m in self.motion if np.isfinite(m.value) and max(abs(m.value), m.u) > ROUNDING]
+        moved = [f"{m.name} {quantity(m.value, m.unit, m.u)}" for m in known]
         if moved:
             yield f"Taken out before, as the datums differ by it: {', '.join(moved)}."
         else:
@@ -99,11 +96,9 @@ def _verdict(comparison: Compared) -> str:
     size = np.abs(comparison.normalised)
     k, j = np.unravel_index(int(np.nanargmax(size)), size.shape)
     place = ", ".join(f"{1e3 * v:.6g}" for v in comparison.points[k])
-    verdict = (
-        "The maps agree within their joint uncertainty"
-        if comparison.agree
-        else "The maps contradict each other: they differ by more than their joint uncertainty"
-    )
+    verdict = "The maps agree within their joint uncertainty"
+    if not comparison.agree:
+        verdict = "The maps contradict each other: they differ by more than their joint uncertainty"
     together = "" if comparison.p_value is None else f"; all differences together have {p_value(comparison.p_value)}"
     return (
         f"{verdict}. The largest normalised difference is E_n = {comparison.normalised[k, j]:+.2f}, "

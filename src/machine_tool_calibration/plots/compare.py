@@ -108,14 +108,8 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
         panel.remove()
     if len(ids) <= _LISTED:
         handles = [Line2D([], [], ls="", marker="o", ms=5, color=residuals.color(k)) for k in range(len(ids))]
-        figure.legend(
-            handles,
-            ids,
-            loc="outside upper center",
-            ncols=min(len(ids), 3 * columns),
-            frameon=False,
-            title=say("head.setup"),
-        )
+        title, across = say("head.setup"), min(len(ids), 3 * columns)
+        figure.legend(handles, ids, loc="outside upper center", ncols=across, frameon=False, title=title)
     residuals.grids(figure)
     return figure
 

@@ -47,13 +47,10 @@ def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> 
 
 
 def _title(diagnosis: Diagnosis) -> str:
-    method = together(
-        dict.fromkeys(named("method", one.method.replace("_", " ")) for one in diagnosis.chosen.sessions), " + "
-    )
+    methods = dict.fromkeys(named("method", one.method.replace("_", " ")) for one in diagnosis.chosen.sessions)
     pool = Pool(diagnosis.fits[0])
-    residual = quantity(rms(pool.residuals), "m")
-    verdict = verdict_line(diagnosis)
-    return say("picture.residual_with", method=method, n=len(pool.residuals), residual=residual, verdict=verdict)
+    said = {"residual": quantity(rms(pool.residuals), "m"), "verdict": verdict_line(diagnosis)}
+    return say("picture.residual_with", method=together(methods, " + "), n=len(pool.residuals), **said)
 
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
@@ -191,10 +188,8 @@ def draw_steps(steps: Sequence[Step], declared: float) -> Figure:
 
 
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
-    at = np.arange(len(steps))
-    panel.plot(
-        at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label=say("picture.residual_rms")
-    )
+    at, left_over = np.arange(len(steps)), [1e6 * step.result.rms_residual for step in steps]
+    panel.plot(at, left_over, "o-", color="tab:red", label=say("picture.residual_rms"))
     left = [step.residual_volumetric_error(steps[-1]) for step in steps]
     tool = [np.nan if value is None else 1e6 * value for value in left]
     if np.isfinite(tool).any():
@@ -233,7 +228,7 @@ def step_table(improvement: Improvement) -> pd.DataFrame:
     return table.drop(columns=["p_value", "parameters"])
 
 
-def residuals_before_and_after(improvement: Improvement) -> pd.DataFrame:
+def residuals_by_reading(improvement: Improvement) -> pd.DataFrame:
     """One row for each reading of the first model, with its residual there and in the last one; SI units."""
     first, last = (improvement.steps[k].result.joint for k in (0, -1))
     tables = []
@@ -249,5 +244,5 @@ def save_improvement(improvement: Improvement, folder: Path) -> list[Path]:
     """Write `improve.png`, `improve.csv` and `residuals.csv` into a folder, which is made where it is missing."""
     origin = improvement.provenance
     (picture,) = save({"improve": draw_improvement(improvement)}, folder, origin)
-    tables = {"improve": step_table(improvement), "residuals": residuals_before_and_after(improvement)}
+    tables = {"improve": step_table(improvement), "residuals": residuals_by_reading(improvement)}
     return [picture, *(write_table(table, folder / f"{name}.csv", origin) for name, table in tables.items())]

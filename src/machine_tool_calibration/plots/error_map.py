@@ -233,7 +233,7 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
         panel.update_datalim(np.vstack([found[good] - reach, found[good] + reach]))
         text = say("picture.U_larger" if larger > 1 else "head.U2", times=f"{larger:g}")
         panel.plot([], [], "o", mfc="none", mec=style.BAND, label=text)
-    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=style.NOMINAL, ms=4, label=say("picture.nominal"), zorder=2)
+    panel.plot(*nominal.T, ".", color=style.NOMINAL, ms=4, label=say("picture.nominal"), zorder=2)
     if layer.error.shape[1] == 3:
         across = layer.error[good][:, 2] * 1e6
         panel.scatter(
@@ -241,13 +241,9 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
             lw=0.5, label=say("picture.measured"), zorder=3,
         )  # fmt: skip
     else:
-        panel.plot(
-            found[good, 0], found[good, 1], "o", color=style.FOUND, ms=4, label=say("picture.measured"), zorder=3
-        )
+        panel.plot(*found[good].T, "o", color=style.FOUND, ms=4, label=say("picture.measured"), zorder=3)
     if not good.all():
-        panel.plot(
-            nominal[~good, 0], nominal[~good, 1], "x", color="black", ms=6, label=say("text.not_determined"), zorder=3
-        )
+        panel.plot(*nominal[~good].T, "x", color="black", ms=6, label=say("text.not_determined"), zorder=3)
     panel.set_aspect("equal")
     panel.margins(0.08)
     drawn = np.vstack([nominal, found[good]])

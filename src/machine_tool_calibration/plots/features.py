@@ -53,9 +53,8 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
             panel.plot(*(1e3 * ends_at[1]), marker="o", ms=3, mfc="none", color=color)
         panel.plot([], [], ls="-", marker="o", ms=3, mfc="none", lw=1.0, color=color, label=what)
     panel.plot([], [], "+", color=style.NOMINAL, label=say("picture.nominal"))
-    panel.plot(
-        [], [], "o-", ms=2, lw=1, color=style.FOUND, label=say("picture.identified_scale", scale=style.spaced(scale))
-    )
+    magnified = say("picture.identified_scale", scale=style.spaced(scale))
+    panel.plot([], [], "o-", ms=2, lw=1, color=style.FOUND, label=magnified)
     panel.plot([], [], color=style.BAND, label=say("picture.ellipse"))
     panel.set_aspect("equal")
     style.name_axes(panel, 0, 1)

@@ -67,14 +67,12 @@ def _draw_injected(injected: Injected) -> Figure:
         panels[-1].text(0.5, 0.5, say("picture.taken_up"), transform=panels[-1].transAxes, **where)
         panels[-1].set_axis_off()
     else:
-        a, b = residuals.planes(observations.position, observations.direction)[0]
-        residual = comparison.fit.residuals
+        place, residual = observations.position, comparison.fit.residuals
+        a, b = residuals.planes(place, observations.direction)[0]
         arrow = residual[:, None] * observations.direction
         same = residuals.repeat_groups(observations)
-        scaled = residuals.arrow_scale(observations.position, arrow, same)
-        residuals.draw_arrows(
-            panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled
-        )
+        scaled = residuals.arrow_scale(place, arrow, same)
+        residuals.draw_arrows(panels[-1], place[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
         name_axes(panels[-1], a, b)
     residuals.grids(figure)
     return figure

@@ -23,8 +23,6 @@ def figures(sessions: Sequence[Session], result: Mapping[str, Any]) -> dict[str,
         return dict(load(own).figures(sessions[0], result))
     content = result.get("error_map") or {}
     mapped = content.get("points") and content.get("position_error")
-    drawn = {
-        "error_map": draw_map(content) if mapped else None,
-        "error_motions": draw_tables(result.get("parameters", ())),
-    }
+    motions = draw_tables(result.get("parameters", ()))
+    drawn = {"error_map": draw_map(content) if mapped else None, "error_motions": motions}
     return {name: figure for name, figure in drawn.items() if figure is not None} | standard_figures(content)

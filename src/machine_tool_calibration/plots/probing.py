@@ -88,9 +88,8 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
         for k in range(len(ys)):
             panel.plot(lines[:, k, 0], lines[:, k, 1], color=color, lw=width)
     if poor.any():
-        panel.plot(
-            *1e3 * grid[poor].T, ls="", marker="o", ms=4, mfc="none", color="tab:orange", label=say("picture.uncertain")
-        )
+        hollow: dict[str, Any] = {"ls": "", "marker": "o", "ms": 4, "mfc": "none", "color": "tab:orange"}
+        panel.plot(*1e3 * grid[poor].T, **hollow, label=say("picture.uncertain"))
     if not good.all():
         panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label=say("text.not_determined"))
     known = quantity(K * float(np.nanmedian(u)), "m") if good.any() else ""

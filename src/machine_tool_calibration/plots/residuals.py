@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of pictures of residuals: against a covariate, and as arrows where they were read."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -91,15 +93,9 @@ def draw_arrows(
     panel.plot(*1e3 * place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
     reach = np.clip(scale * arrow, -1.5 * _LENGTH * extent, 1.5 * _LENGTH * extent)
     panel.update_datalim(1e3 * (place + reach))
-    quiver = panel.quiver(
-        *(1e3 * place.T),
-        *(1e3 * scale * arrow.T),
-        color=np.where(sign > 0, COLORS[1], COLORS[0]),
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.003,
-    )
+    colors = np.where(sign > 0, COLORS[1], COLORS[0])
+    long_as_they_are: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    quiver = panel.quiver(*(1e3 * place.T), *(1e3 * scale * arrow.T), color=colors, width=0.003, **long_as_they_are)
     shown = round_down(long)
     panel.set_title(" ", fontsize=10)  # room for the key
     panel.quiverkey(quiver, 0.94, 1.03, 1e3 * scale * shown, f"{1e6 * shown:g} µm", labelpos="W", color="0.2")

@@ -245,13 +245,11 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
     pairs = neighbours(place)
     if len(pairs) < len(place) / 2:
         pairs = np.empty((0, 2), dtype=int)
-    texts = [
-        "<br>".join(
-            words.numbers(f"{axis.upper()} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm")
-            for axis, p, e, s in zip("xyz", *rows, strict=True)
-        )
-        for rows in zip(place, error, u, strict=True)
-    ]
+
+    def told(axis: str, p: float, e: float, s: float) -> str:
+        return words.numbers(f"{axis} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm")
+
+    texts = ["<br>".join(map(told, "XYZ", *rows)) for rows in zip(place, error, u, strict=True)]
     arrows = np.stack([place, found], axis=1)
     data = [
         _lines(1e3 * place[pairs], _GRAY, words("picture.nominal"), "dot"),
@@ -294,6 +292,5 @@ def _lines(segments: np.ndarray, color: str, name: str, dash: str) -> dict[str, 
 
 
 def _columns(points: np.ndarray) -> dict[str, list[float | None]]:
-    return {
-        axis: [None if not np.isfinite(v) else round(float(v), 5) for v in points[:, j]] for j, axis in enumerate("xyz")
-    }
+    columns = zip("xyz", points.T, strict=True)
+    return {axis: [round(float(v), 5) if np.isfinite(v) else None for v in own] for axis, own in columns}
