@@ -58,13 +58,8 @@ def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Eff
     state = np.round(np.concatenate([added, approach], axis=1)[readings] / _SAME_STATE)
     first = np.sort(np.unique(np.column_stack([rows, state]), axis=0, return_index=True)[1])
     rows, readings = rows[first], readings[first]
-    with_effects = replace(
-        error_map,
-        points=error_map.points[rows],
-        error=error_map.error[rows] + added[readings],
-        uncertainty=error_map.uncertainty[rows],
-        covariance=None,
-    )
+    points, error, u = error_map.points[rows], error_map.error[rows] + added[readings], error_map.uncertainty[rows]
+    with_effects = replace(error_map, points=points, error=error, uncertainty=u, covariance=None)
     return ErrorStates(with_effects, approach[readings], names)
 
 

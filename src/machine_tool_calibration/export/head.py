@@ -53,14 +53,10 @@ def rebuilt(
     backlash: dict[str, float] | None = None,
 ) -> AxisTables:
     """What was read from a file, with the chain and the words of what was written."""
-    nan = float("nan")
-    return replace(
-        like,
-        tables=tuple(tables),
-        squareness={name: (value, nan) for name, value in (squareness or {}).items()},
-        backlash={axis: (value, nan) for axis, value in (backlash or {}).items()},
-        left_out=(),
+    single, reversal = (
+        {name: (value, float("nan")) for name, value in (values or {}).items()} for values in (squareness, backlash)
     )
+    return replace(like, tables=tuple(tables), squareness=single, backlash=reversal, left_out=())
 
 
 def positioning(tables: AxisTables, source: str) -> list[AxisTable]:
@@ -68,9 +64,8 @@ def positioning(tables: AxisTables, source: str) -> list[AxisTable]:
     own = [table for table in (tables.along(axis, axis) for axis in "XYZ") if table is not None]
     if not own:
         why = "; ".join(f"{entry.name}: {entry.why}" for entry in tables.left_out if entry.name[1:2] == entry.name[2:3])
-        raise ModelError(
-            f"{source.splitlines()[0]}: no positioning error (EXX, EYY, EZZ) is determined{': ' if why else ''}{why}"
-        )
+        what = "no positioning error (EXX, EYY, EZZ) is determined"
+        raise ModelError(f"{source.splitlines()[0]}: {what}{': ' if why else ''}{why}")
     return own
 
 

@@ -65,13 +65,8 @@ class RotaryTables(AxisTables):
         moved = np.zeros_like(points)
         moved[:, 0] = np.repeat(sense, len(error_map.points))
         lost = self.field(points, moved) - self.field(points)
-        whole = replace(
-            error_map,
-            points=points,
-            error=np.tile(error_map.error, (len(sense), 1)) + lost,
-            uncertainty=np.tile(error_map.uncertainty, (len(sense), 1)),
-            covariance=None,
-        )
+        error, u = (np.tile(values, (len(sense), 1)) for values in (error_map.error, error_map.uncertainty))
+        whole = replace(error_map, points=points, error=error + lost, uncertainty=u, covariance=None)
         return ErrorStates(whole, moved, names)
 
 
@@ -89,9 +84,8 @@ def rotary_tables(result: Result | JointResult, effects: Sequence[Effect] = ()) 
     value, u = (np.asarray(content[f"E{axis}{axis}{end}"], dtype=float) for end in ("", "_u"))
     lost = int(np.count_nonzero(~np.isfinite(value)))
     if lost or len(nodes) < 2:
-        raise ModelError(
-            f"{session.source}: at {lost} of {len(nodes)} angles E{axis}{axis} is not determined: a table has no gaps"
-        )
+        where = f"at {lost} of {len(nodes)} angles"
+        raise ModelError(f"{session.source}: {where} E{axis}{axis} is not determined: a table has no gaps")
     sign = session.rotation_sign
     value = sign * (value - value[np.argmin(np.abs(nodes))])
     backlash = f"backlash_{axis.lower()}"

@@ -25,11 +25,9 @@ def csv_table(tables: AxisTables, lines: Sequence[str]) -> dict[str, str]:
     rows = csv.writer(out, lineterminator="\n")
     rows.writerow(_COLUMNS)
     for name, (value, spread) in tables.squareness.items():
-        rows.writerow([name, "", "", repr(float(value)), repr(float(spread)), repr(float(-value)), "rad"])
+        rows.writerow([name, "", "", float(value), float(spread), float(-value), "rad"])
     for axis, (value, spread) in tables.backlash.items():
-        rows.writerow(
-            [f"backlash_{axis.lower()}", axis, "", repr(float(value)), repr(float(spread)), "", unit_of(axis)]
-        )
+        rows.writerow([f"backlash_{axis.lower()}", axis, "", float(value), float(spread), "", unit_of(axis)])
     for table in tables.tables:
         columns = (table.nodes.tolist(), table.value.tolist(), table.uncertainty.tolist())
         for position, value, spread in zip(*columns, strict=True):

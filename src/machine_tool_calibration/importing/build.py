@@ -77,9 +77,8 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     if missing := int(np.count_nonzero(~np.isfinite(readings.displacement))):
         notes.append(f"{missing} of {len(readings)} readings are empty cells: kept as missing")
     if isinstance(description, Direct) and not description.terms:
-        notes.append(
-            "no machine errors are named; without terms, as in --term EXX, nothing of the machine is identified"
-        )
+        without = "without terms, as in --term EXX, nothing of the machine is identified"
+        notes.append(f"no machine errors are named; {without}")
     return Imported(session, read[0].read, sum(len(columns.table) for columns in read), tuple(notes))
 
 
@@ -96,12 +95,8 @@ def _reading_rows(columns: Columns, name: str) -> Rows:
     setup = columns.setups(ids[0] if ids else name)
     # Of a setup of deviations there is nothing else to say.
     named = setups is None and columns.mapping.session.get("method") == "direct"
-    return Rows(
-        numbers=columns.others(()),
-        labels={"setup": setup, **labels},
-        row=np.arange(len(columns.table)),
-        description={"setups": [{"id": entry} for entry in dict.fromkeys(setup.tolist())]} if named else {},
-    )
+    described = {"setups": [{"id": entry} for entry in dict.fromkeys(setup.tolist())]} if named else {}
+    return Rows(columns.others(()), {"setup": setup, **labels}, np.arange(len(columns.table)), described)
 
 
 _ROWS: dict[str, Callable[[Columns, str], Rows]] = {
@@ -166,17 +161,15 @@ def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
     given = dict(mapping.session)
     content: dict[str, Any] = {"format": "mtcal-session/1", **rows.description}
     if (wanted := content.get("method", given.get("method"))) is None:
-        raise SessionError(
-            f"{source}: a table of readings needs the session.yaml that says of what, with --description session.yaml"
-        )
+        how = "with --description session.yaml"
+        raise SessionError(f"{source}: a table of readings needs the session.yaml that says of what, {how}")
     if given.get("method", wanted) != wanted:
         raise SessionError(f"{source}: this table makes a session of {wanted}; leave out method")
     if "machine" not in given:
         raise SessionError(f"{source}: the machine's chain is not given, as in --chain w-Y-X-b-Z-t")
     if "standard_uncertainty" not in given:
-        raise SessionError(
-            f"{source}: the standard uncertainty (k = 1) of a reading is not given, as in --uncertainty 1.5um"
-        )
+        what = "the standard uncertainty (k = 1) of a reading"
+        raise SessionError(f"{source}: {what} is not given, as in --uncertainty 1.5um")
     if isinstance(given["standard_uncertainty"], str):
         value = quantity(given["standard_uncertainty"], "length", "standard uncertainty")
         given["standard_uncertainty"] = {"displacement": value}

@@ -105,11 +105,8 @@ class Columns:
 
     def others(self, taken: Collection[str]) -> dict[str, Array]:
         """Every numeric column of a session that is named beside those taken, and the covariates of the user's own."""
-        out = {
-            role: self.number(role)
-            for role, kind in ROLES[self.mapping.table].items()
-            if role not in taken and kind != "text" and self.has(role)
-        }
+        numeric = [role for role, kind in ROLES[self.mapping.table].items() if kind != "text"]
+        out = {role: self.number(role) for role in numeric if role not in taken and self.has(role)}
         for name, rule in self.mapping.extras.items():
             unit = self._unit(name, rule, None)
             self.read[name] = (rule.column, unit)

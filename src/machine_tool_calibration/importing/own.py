@@ -118,9 +118,8 @@ def read_alignment(path: Path) -> Alignment:
     moves = bool(np.ptp(found.place, axis=0).max() > _NO_MOTION)
     if found.turns == moves:
         both = "the beam turns and the retroreflector moves" if moves else "neither beam nor retroreflector moves"
-        raise SessionError(
-            f"{file}: {both}; for the centre the beam turns and x and y stay, for the zero angle y alone moves"
-        )
+        hint = "for the centre the beam turns and x and y stay, for the zero angle y alone moves"
+        raise SessionError(f"{file}: {both}; {hint}")
     if moves and np.ptp(found.place[:, 0]) > _NO_MOTION:
         raise SessionError(f"{file}: x moves; for the zero angle y alone moves")
     return found

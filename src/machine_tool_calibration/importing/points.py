@@ -66,10 +66,8 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
         ratio = size[0] / size[1] if size[1] else 0.0
         for factor, what in _FACTORS:
             if abs(ratio / factor - 1.0) < 0.02:
-                raise SessionError(
-                    f"{where}: measured points spread {ratio:.4g} times as far as nominal ones{along}; {what}? "
-                    "(--trust-units takes them as they are)"
-                )
+                found = f"measured points spread {ratio:.4g} times as far as nominal ones{along}"
+                raise _implausible(where, f"{found}; {what}?")
     whole = good.all(axis=1)
     hint = "are the columns and the order of the points right?"
     if not aligned:
@@ -80,10 +78,7 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
         rest = mirrored @ rotation.T + shift - nominal[whole]
         if np.sqrt(np.mean(rest**2)) < _POOR * extent:
             hint = "they fit once mirrored: one of the two frames is left-handed"
-    raise SessionError(
-        f"{where}: measured points are {spread * 1e3:.4g} mm (RMS) from nominal ones; {hint} "
-        "(--trust-units takes them as they are)"
-    )
+    raise _implausible(where, f"measured points are {spread * 1e3:.4g} mm (RMS) from nominal ones; {hint}")
 
 
 def check_deviations(deviation: Array, position: Array, where: str) -> None:
@@ -92,10 +87,12 @@ def check_deviations(deviation: Array, position: Array, where: str) -> None:
     extent = float(np.max(np.ptp(position, axis=0))) if len(position) else 0.0
     spread = float(np.std(deviation[good])) if good.any() else 0.0
     if spread > _POOR * extent > 0.0:
-        raise SessionError(
-            f"{where}: deviations spread {1e3 * spread:.4g} mm over {1e3 * extent:.4g} mm of travel; "
-            "is their unit right? (--trust-units takes them as they are)"
-        )
+        found = f"deviations spread {1e3 * spread:.4g} mm over {1e3 * extent:.4g} mm of travel"
+        raise _implausible(where, f"{found}; is their unit right?")
+
+
+def _implausible(where: str, what: str) -> SessionError:
+    return SessionError(f"{where}: {what} (--trust-units takes them as they are)")
 
 
 def _centred(points: Array, good: np.ndarray) -> Array:
@@ -290,9 +287,8 @@ def _station(
     rotation, shift = best_motion(points[whole], position[whole])
     if not columns.mapping.trusted:
         check_size(points[whole] @ rotation.T + shift, position[whole], where, aligned=True)
-    notes.append(
-        f"station {name!r} stands at ({', '.join(f'{1e3 * v:.2f}' for v in shift)}) mm: from the points that it saw"
-    )
+    place = ", ".join(f"{1e3 * v:.2f}" for v in shift)
+    notes.append(f"station {name!r} stands at ({place}) mm: from the points that it saw")
     return [float(v) for v in shift]
 
 

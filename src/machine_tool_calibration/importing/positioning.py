@@ -43,26 +43,15 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
         deviation = -deviation
     n = len(position)
     columns.check_origin((mapping.axis,))
-    numbers: dict[str, Array] = {
-        mapping.axis: position + columns.origin(mapping.axis),
-        f"dir_{mapping.axis}": np.where(up, 1.0, -1.0),
-        "repeat": run,
-    }
+    numbers: dict[str, Array] = {mapping.axis: position + columns.origin(mapping.axis)}
+    numbers |= {f"dir_{mapping.axis}": np.where(up, 1.0, -1.0), "repeat": run}
     numbers |= {f"g{axis}": np.full(n, float(axis == sense)) for axis in "xyz"} | {"displacement": deviation}
     taken = ("position", "actual", "deviation", "run", "direction", "repeat", mapping.axis, f"dir_{mapping.axis}")
     numbers |= {role: values[row] for role, values in columns.others(taken).items()}
-    return Rows(
-        numbers,
-        {"setup": np.full(n, name)},
-        row,
-        {
-            "method": "direct",
-            "datum": "offset",
-            "terms": [f"E{sense.upper()}{mapping.axis.upper()}"],
-            "setups": [{"id": name}],
-            "repeats": int(run.max(initial=0.0)) + 1,
-        },
-    )
+    term = f"E{sense.upper()}{mapping.axis.upper()}"
+    described: dict[str, object] = {"method": "direct", "datum": "offset", "terms": [term]}
+    described |= {"setups": [{"id": name}], "repeats": int(run.max(initial=0.0)) + 1}
+    return Rows(numbers, {"setup": np.full(n, name)}, row, described)
 
 
 Series = tuple[Array, Array, np.ndarray, Array, np.ndarray]
@@ -153,11 +142,7 @@ def _long(columns: Columns) -> Series:
     table = columns.table
     columns.need(("position", "direction"), "a row for each reading")
     position = columns.filled("position")
-    if columns.has("actual"):
-        deviation = columns.number("actual") - position
-    else:
-        columns.need(("deviation",), "or actual: what was read")
-        deviation = columns.number("deviation")
+    deviation = _read(columns, "actual", position)
     up = _of_two(columns, "direction", _UP, _DOWN, "up nor down")
     if columns.has("run"):
         run = columns.filled("run")
@@ -167,6 +152,14 @@ def _long(columns: Columns) -> Series:
     else:
         run = occurrence(groups(np.round(position, 9), up)).astype(float)
     return position, run, up, deviation, np.arange(len(table))
+
+
+def _read(columns: Columns, whole: str, nominal: Array | float) -> Array:
+    """(rows,) deviations that were read, or the whole of what was less its nominal value."""
+    if columns.has(whole):
+        return columns.number(whole) - nominal
+    columns.need(("deviation",), f"or {whole}: what was read")
+    return columns.number("deviation")
 
 
 def _of_two(columns: Columns, role: str, one: Collection[str], other: Collection[str], known: str) -> BoolArray:
@@ -195,11 +188,7 @@ def circle_rows(columns: Columns, name: str) -> Rows:
     columns.need(("angle",), "where on the circle")
     setup = _setup(columns, name)
     angle = columns.filled("angle")
-    if columns.has("radius"):
-        deviation = columns.number("radius") - setup.radius
-    else:
-        columns.need(("deviation",), "or radius: what was read")
-        deviation = columns.number("deviation")
+    deviation = _read(columns, "radius", setup.radius)
     if columns.mapping.sign == "nominal-minus-actual" and not columns.has("radius"):
         deviation = -deviation
     sense, run = _runs(columns, angle)

@@ -108,9 +108,8 @@ class TextTable:
         if len(places) == 1:
             return places[0]
         if places:
-            raise SessionError(
-                f"{self.source}: the column {column!r} ({what}) stands {len(places)} times in the header"
-            )
+            times = f"{len(places)} times in the header"
+            raise SessionError(f"{self.source}: the column {column!r} ({what}) stands {times}")
         hint = ""
         if len(self.names) == 1 and any(mark in self.names[0] for mark in ";\t|,"):
             hint = "; is the separator right?"
