@@ -44,9 +44,8 @@ class ComparePage:
         self._state, self._readings, self._work = state, readings, work
         self._words, self._setups, self._more, self._table = look.text(), look.text(), look.text(), look.text()
         self._count = look.text("", min_width=150)
-        self._against = [
-            look.choice(f"Plot {k + 1}: residuals against", partial(self._draw_against, k), width=300) for k in (0, 1)
-        ]
+        names = enumerate(("Plot 1: residuals against", "Plot 2: residuals against"))
+        self._against = [look.choice(name, partial(self._draw_against, k), width=300) for k, name in names]
         self._plane = look.choice("Map in the plane", lambda _: self._draw_plane(), width=100)
         self._legend = pn.widgets.CheckButtonGroup(margin=(3, 4))
         look.when_changed(self._legend, lambda _: self._show_setups())
@@ -58,13 +57,10 @@ class ComparePage:
         look.when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
         self._aside = look.bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
         self._back = look.bar_button("Put back", self._put_back, disabled=True)
-        self._look = look.bar_button(
-            "Select those set aside", lambda: readings.select(state.model.aside), visible=False
-        )
+        self._look = look.bar_button("Select those set aside", lambda: readings.select(state.model.aside))
         self._cleared = look.bar_button("Clear the selection", self._clear)
-        self._suggest = look.bar_button(
-            "Select what does not belong to the rest", self._select_suggested, visible=False
-        )
+        self._suggest = look.bar_button("Select what does not belong to the rest", self._select_suggested)
+        self._look.visible = self._suggest.visible = False
         buttons = (self._aside, self._back, self._look, self._cleared, self._suggest)
         self.view = pn.Column(
             self._words,
@@ -128,9 +124,9 @@ class ComparePage:
         """What can be drawn, where another measurement was opened."""
         setups = dict(zip(self._readings.data["setup"], self._readings.data["color"].tolist(), strict=True))
         if self._legend.options != list(setups)[:_BUTTONS]:
-            colors = enumerate(list(setups.values())[:_BUTTONS], 1)
             edges = [
-                f".bk-btn:nth-child({k}) {{ border-bottom: 4px solid #{c >> 8:06x} !important; }}" for k, c in colors
+                f".bk-btn:nth-child({k}) {{ border-bottom: 4px solid #{color >> 8:06x} !important; }}"
+                for k, color in enumerate(list(setups.values())[:_BUTTONS], 1)
             ]
             self._legend.param.update(options=list(setups)[:_BUTTONS], value=list(setups)[:_BUTTONS])
             self._legend.stylesheets = [look.BUTTON, ".bk-btn:not(.bk-active) { opacity: 0.4; }", *edges]
@@ -154,9 +150,8 @@ class ComparePage:
         self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
         larger = self._readings.magnification
-        self._map.title.text = (
-            f"{self._readings.arrows}, {spaced(larger)} times magnified; orange: +" if larger else "Places"
-        )
+        title = f"{self._readings.arrows}, {spaced(larger)} times magnified; orange: +"
+        self._map.title.text = title if larger else "Places"
 
     def _show_setups(self) -> None:
         hidden = set(self._legend.options) - set(self._legend.value)

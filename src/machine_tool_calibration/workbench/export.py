@@ -35,12 +35,10 @@ class ExportPage:
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._work = state, work
         self._saved = Saved("Save into the folder")
-        self._language = pn.widgets.Select(
-            name="Language", options={_LANGUAGES.get(name, name): name for name in LANGUAGES}, width=110
-        )
-        self._diagnosis = pn.widgets.Select(
-            name="Diagnosis in the report", options={"made": True, "left out": False}, width=170
-        )
+        languages = {_LANGUAGES.get(name, name): name for name in LANGUAGES}
+        self._language = pn.widgets.Select(name="Language", options=languages, width=110)
+        diagnosis = {"made": True, "left out": False}
+        self._diagnosis = pn.widgets.Select(name="Diagnosis in the report", options=diagnosis, width=170)
         forms = {_CONTROLLERS.get(form, form): form for form in FORMATS}
         self._form = choice("Controller", lambda _: self._forget(), options=forms, width=260)
         self._left: tuple[str, Exported, bytes] | None = None
@@ -112,10 +110,8 @@ class ExportPage:
         fit = self._state.model.fit
         effects = f" with {', '.join(fit.effects)}" if fit.effects else ""
         own = fit.result.model_name
-        instead = (
-            "" if own == name else f"; the one in use, {own}, has no tables, and what it says is not quite the same"
-        )
-        return f"Of the model {name}{effects}{instead}."
+        instead = f"; the one in use, {own}, has no tables, and what it says is not quite the same"
+        return f"Of the model {name}{effects}{'' if own == name else instead}."
 
     def _save_files(self) -> None:
         if self._left is not None:

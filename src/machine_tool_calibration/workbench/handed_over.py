@@ -37,9 +37,8 @@ def reported(
     progress: Progress,
 ) -> list[Path]:
     """Write the report of a model; the files."""
-    measured = Measured(
-        subject.without((), model.kept).sessions, subject.chosen(model), tuple(history) if len(history) > 1 else ()
-    )
+    way = tuple(history) if len(history) > 1 else ()
+    measured = Measured(subject.without((), model.kept).sessions, subject.chosen(model), way)
     found = evaluate(measured, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
     progress("drawing", 0.9)
     return write_report(found, words(language), files)

@@ -87,10 +87,8 @@ class ImprovePage:
         state, model = self._state, self._state.model
         self._add.param.update(options=["", *addable(state)], value="")
         self._take.param.update(options=["", *model.fit.effects], value="")
-        self._go.param.update(
-            options={"": 0, **{f"{e.number}: {e.change or 'first model'}": e.number for e in state.history.models}},
-            value=0,
-        )
+        known = {f"{one.number}: {one.change or 'first model'}": one.number for one in state.history.models}
+        self._go.param.update(options={"": 0, **known}, value=0)
         self._undo.disabled = len(state.models) < 2
         names = {name: k for k, name in enumerate(self._names())}
         there = self._readings.planes

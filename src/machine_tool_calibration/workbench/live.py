@@ -93,12 +93,8 @@ class LivePage:
         self._services = pn.FlexBox(sizing_mode="stretch_width")
         self._question = look.text("", min_width=300)
         self._asked: Offer | None = None
-        self._confirm = pn.Row(
-            self._question,
-            look.bar_button("Yes", self._confirmed, "danger"),
-            look.bar_button("No", self._refused),
-            visible=False,
-        )
+        yes, no = look.bar_button("Yes", self._confirmed, "danger"), look.bar_button("No", self._refused)
+        self._confirm = pn.Row(self._question, yes, no, visible=False)
         self._plots()
         self.view = pn.Column(
             self._where,
@@ -134,9 +130,8 @@ class LivePage:
         self._residuals.x_range = self._readings.x_range
         self._fall = ColumnDataSource({name: [] for name in ("number", "value", "shown", "determined")})
         hover = [("readings", "@number"), ("largest U", "@shown"), ("coordinates determined", "@determined")]
-        self._uncertainty = look.new_figure(
-            "Largest U (95 %) of a coordinate", "readings", "U, µm", hover=hover, height=220
-        )
+        title = "Largest U (95 %) of a coordinate"
+        self._uncertainty = look.new_figure(title, "readings", "U, µm", hover=hover, height=220)
         self._uncertainty.line("number", "value", source=self._fall, color="#0072b2")
         self._uncertainty.scatter("number", "value", source=self._fall, size=6, color="#0072b2")
         self._wanted = Span(dimension="width", line_color="#b36b00", line_dash="dashed", visible=False)
@@ -294,9 +289,8 @@ class LivePage:
             options = ["xyz"[a] + "xyz"[b] for a, b in planes(points, np.zeros_like(points))]
             if self._plane.options != options:
                 self._plane.param.update(options=options, value=options[0])
-            self._map.show(
-                found.error_map, self._plane.value, look.magnification([found.error_map]), "Map of the errors"
-            )
+            factor = look.magnification([found.error_map])
+            self._map.show(found.error_map, self._plane.value, factor, "Map of the errors")
 
     def _offer(self) -> None:
         """A button for each service that is there."""
@@ -365,11 +359,8 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
             mark, color, word = *_SILENT, f"silent for {silent:.0f} s"
         else:
             mark, color, word = _LEVELS[min(one.level, 2)]
-        told = [
-            f"{key} {one.entries[key]}{_UNITS.get(key, '')}"
-            for key in _NODE_ENTRIES.get(one.kind, ())
-            if _says(one, key)
-        ]
+        keys = [key for key in _NODE_ENTRIES.get(one.kind, ()) if _says(one, key)]
+        told = [f"{key} {one.entries[key]}{_UNITS.get(key, '')}" for key in keys]
         if _says(one, "ignored"):
             told.append(f"{one.entries['ignored']} messages ignored ({one.entries.get('ignored_last', '')})")
         more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""

@@ -58,14 +58,9 @@ class LiveMap:
         result = complete.identify(FitRequest((session,), None, variant, (), tuple(own)))
         assert isinstance(result, Result)  # of a single session
         readings = result.fit.model.observations.readings
-        return LiveMap(
-            whose=f"calculated here from {len(session.readings)} readings",
-            rows=summary_rows(result.document()),
-            error_map=result.error_map,
-            row=readings.row.astype(float),
-            setup=readings.setup.astype(float),
-            residual=result.fit.residuals,
-        )
+        whose, rows = f"calculated here from {len(session.readings)} readings", summary_rows(result.document())
+        row, setup = readings.row.astype(float), readings.setup.astype(float)
+        return LiveMap(whose, rows, result.error_map, row, setup, result.fit.residuals)
 
     @staticmethod
     def of_messages(published: Published) -> LiveMap:
@@ -78,12 +73,9 @@ class LiveMap:
         )
         left = {name: np.zeros(0) for name in ("row", "setup", "residual")} | dict(published.residuals)
         effects = ", ".join(document.get("effects", ()))
-        return LiveMap(
-            whose="published by the estimator" + (f", with {effects}" if effects else ""),
-            rows=summary_rows(document) if document else [],
-            error_map=ErrorMap({}, points, error, uncertainty),
-            **left,
-        )
+        whose = "published by the estimator" + (f", with {effects}" if effects else "")
+        rows = summary_rows(document) if document else []
+        return LiveMap(whose, rows, ErrorMap({}, points, error, uncertainty), **left)
 
 
 class Feed:

@@ -37,9 +37,8 @@ class MeasurementPage:
             plot = self._plots[view] = look.new_figure(f"Seen in {view}", *axes, hover=_HOVER, match_aspect=True)
             plot.scatter(*view, source=source, size=4, color="color", alpha=0.7, **look.DIM)
             look.draw_stations(plot, self._stations, *view)
-        self.view = pn.Column(
-            self._words, look.beside(*self._plots.values(), self._setups, self._more), sizing_mode="stretch_width"
-        )
+        below = look.beside(*self._plots.values(), self._setups, self._more)
+        self.view = pn.Column(self._words, below, sizing_mode="stretch_width")
 
     def refresh(self) -> None:
         """Show the measurement."""
@@ -58,9 +57,8 @@ class MeasurementPage:
         if state.model.found:
             rows = ", ".join(state.subject.name(number) for number in sorted(state.model.found)[:12])
             rows += " …" if len(state.model.found) > 12 else ""
-            suspicious.append(
-                f"{stand_out(len(state.model.found))} (row {rows}): Compare shows, and puts back, what is set aside"
-            )
+            outliers = f"{stand_out(len(state.model.found))} (row {rows})"
+            suspicious.append(f"{outliers}: Compare shows, and puts back, what is set aside")
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
         self._words.object = said or "<p>Nothing is suspicious; how the model fits, Result says.</p>"
         self._setups.object, self._more.object = placed, more

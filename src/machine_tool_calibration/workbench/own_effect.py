@@ -31,9 +31,8 @@ def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
             name, unit, low, high = part
             out[name] = {"unit": unit, "low": float(low), "high": float(high)}
         except ValueError:
-            raise ModelError(
-                f"{' '.join(part)!r}: name, unit, smallest and largest value, as in b m -2e-5 2e-5"
-            ) from None
+            form = "name, unit, smallest and largest value, as in b m -2e-5 2e-5"
+            raise ModelError(f"{' '.join(part)!r}: {form}") from None
     return out
 
 
@@ -60,15 +59,8 @@ class OwnEffect:
     def effect(self) -> FormulaEffect:
         """What the form says; a ModelError says why it cannot be, or not with this measurement."""
         name, formula, linear, shape = self._typed.values()
-        made = formula_effect(
-            {
-                "id": name,
-                "enters": self._enters.value,
-                "formula": formula,
-                "coefficients": unknowns_of(linear),
-                "shapes": unknowns_of(shape),
-            }
-        )
+        unknowns = {"coefficients": unknowns_of(linear), "shapes": unknowns_of(shape)}
+        made = formula_effect({"id": name, "enters": self._enters.value, "formula": formula, **unknowns})
         if made.id in catalogue():
             raise ModelError(f"{made.id} is an effect of the catalogue: give yours another name")
         why = [made.why_not(one.fit.model.observations) for one in self._state.model.each]

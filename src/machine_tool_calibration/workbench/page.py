@@ -74,15 +74,13 @@ class _Window:
         self._state.watch(self._changed)
         # A page is made when it is first looked at, and filled when it is looked at and stale: what a browser does not
         # show costs it nearly as much as what it shows.
-        pages: tuple[Any, ...] = (*_PAGES, LivePage)
-        self._makers: dict[str, Callable[[], Any]] = {
-            page.title: partial(page, self._state, self._readings, self._work) for page in _PAGES
-        }
+        shared = self._state, self._readings, self._work
+        self._makers: dict[str, Callable[[], Any]] = {page.title: partial(page, *shared) for page in _PAGES}
         self._makers[LivePage.title] = partial(LivePage, self._state, self._work, feed)
         self._pages: dict[str, Any] = {}
-        self._places = {
-            page.title: [pn.Column(sizing_mode="stretch_width") for _ in range(page.blocks)] for page in pages
-        }
+        self._places: dict[str, list[Any]] = {}
+        for page in (*_PAGES, LivePage):
+            self._places[page.title] = [pn.Column(sizing_mode="stretch_width") for _ in range(page.blocks)]
         self._stale: set[str] = set()
         self._shown = ""
         self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._places}

@@ -169,11 +169,8 @@ class State:
         effects = (*(name for name in now.fit.effects if name not in taken), *added)
         back = now.aside - rows
         words = [*([f"model {variant}"] if variant else []), *added, *(f"without {name}" for name in taken)]
-        words += [
-            f"{k} reading{'s' if k > 1 else ''} {what}"
-            for k, what in ((len(rows - now.aside), "set aside"), (len(back), "put back"))
-            if k
-        ]
+        for k, what in ((len(rows - now.aside), "set aside"), (len(back), "put back")):
+            words += [f"{k} reading{'s' if k > 1 else ''} {what}"] if k else []
         kept = (now.kept | (back & now.found.keys())) - rows
         chosen = replace(now.fit.chosen, effects=effects, model=variant or now.fit.chosen.model)
         asked = (now, " + ".join(words), chosen)
@@ -186,9 +183,8 @@ class State:
 
         def take(found: Diagnosis) -> None:
             self.diagnosis = found
-            self.models[-1] = replace(
-                self.model, found={**self.model.found, **self.subject.deviations(found.set_aside)}
-            )
+            away = {**self.model.found, **self.subject.deviations(found.set_aside)}
+            self.models[-1] = replace(self.model, found=away)
             self._tell()
 
         return Job(partial(diagnosed, self.subject, self.model), take)
