@@ -85,11 +85,6 @@ def result_table(measured: Measured) -> TextTable:
 
 def files_table(measured: Measured, more: Sequence[tuple[str, Path]] = ()) -> TextTable:
     """Where everything is."""
-    rows: list[tuple[str, Path | None]] = [
-        ("recording", measured.bag),
-        ("session", measured.session_folder),
-        ("result", measured.result_file),
-        *more,
-        ("logs of the nodes", measured.output / "log"),
-    ]
+    own = {"recording": measured.bag, "session": measured.session_folder, "result": measured.result_file}
+    rows = [*own.items(), *more, ("logs of the nodes", measured.output / "log")]
     return TextTable("", ("", ""), tuple((name, str(path)) for name, path in rows if path is not None))

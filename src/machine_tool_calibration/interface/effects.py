@@ -60,17 +60,9 @@ class Effect(FormulaEffect):
         Raises:
             ModelError: the formula cannot be parsed, is not linear in its coefficients, or its units do not fit.
         """
-        definition = {
-            "id": id,
-            "title": title,
-            "enters": enters,
-            "formula": formula,
-            "coefficients": _ranges(coefficients),
-            "shapes": _ranges(shapes or {}),
-            "columns": columns or {},
-            "constants": _ranges(constants or {}),
-            "source": source,
-        }
+        definition: dict[str, Any] = {"id": id, "title": title, "enters": enters, "formula": formula, "source": source}
+        definition |= {"coefficients": _ranges(coefficients), "shapes": _ranges(shapes or {})}
+        definition |= {"columns": columns or {}, "constants": _ranges(constants or {})}
         super().__init__(checked_definition(definition, f"effect {id}"))
 
     def __repr__(self) -> str:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model made better step by step, and the error that falls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

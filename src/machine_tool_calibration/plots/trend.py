@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sizes of a machine's errors over time."""
 
-from __future__ import annotations
-
 from datetime import datetime
-from typing import TYPE_CHECKING
 
 from machine_tool_calibration.plots.style import BAND, COLORS, MARKERS, Axes, Figure, new_figure
+from machine_tool_calibration.trends.trend import Course, Trend
 from machine_tool_calibration.words import say
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.trends.trend import Course, Trend
 
 # Numbers that are drawn, in the order of the table, and panels beside each other.
 _MOST_DRAWN, _ACROSS = 12, 3

@@ -13,6 +13,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
@@ -20,15 +21,13 @@ from machine_tool_calibration.plots.compare import chosen_covariates, draw_again
 from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.error_map import neighbours
 from machine_tool_calibration.plots.pictures import figures
-from machine_tool_calibration.plots.style import COLORS, NOMINAL, draw_band, new_figure, round_down, spaced
+from machine_tool_calibration.plots.style import COLORS, NOMINAL, Figure, draw_band, new_figure, round_down, spaced
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.result_tables import error_map, error_motions
 from machine_tool_calibration.words import Words, say
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
     from matplotlib.ticker import Formatter
 
 # Width of a picture, inches, of which three stand side by side; and up to which two do, made that wide.

@@ -96,17 +96,10 @@ def rendered(template: str, *packages: str | Path, **values: Any) -> str:
     from jinja2 import ChoiceLoader, FileSystemLoader, PackageLoader, StrictUndefined
     from jinja2.sandbox import SandboxedEnvironment
 
+    places = (str(__package__), *packages)
+    loaders = [FileSystemLoader(one) if isinstance(one, Path) else PackageLoader(one, ".") for one in places]
     environment = SandboxedEnvironment(
-        loader=ChoiceLoader(
-            [
-                FileSystemLoader(place) if isinstance(place, Path) else PackageLoader(place, ".")
-                for place in (str(__package__), *packages)
-            ]
-        ),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+        loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.tests["picture"] = lambda block: isinstance(block, Picture)
     environment.tests["table"] = lambda block: isinstance(block, TextTable)

@@ -98,12 +98,9 @@ def in_language(block: Block, words: Words) -> Block:
     if not isinstance(block, TextTable):
         return block
     table = block.filled()
-    return TextTable(
-        words.numbers(words.told(table.title)),
-        tuple(map(words.told, table.columns)),
-        tuple(tuple(_cell(text, words) for text in row) for row in table.rows),
-        words.numbers(words.told(table.note)),
-    )
+    title, note = (words.numbers(words.told(text)) for text in (table.title, table.note))
+    rows = tuple(tuple(_cell(text, words) for text in row) for row in table.rows)
+    return TextTable(title, tuple(map(words.told, table.columns)), rows, note)
 
 
 def _cell(text: str, words: Words) -> str:
@@ -140,11 +137,10 @@ def _measurement(found: Evaluation) -> Iterator[str | TextTable]:
     for label, session in zip(measured.chosen.labels or ("",), measured.recorded, strict=True):
         if label:
             yield say("report.session_named", label=label)
-        about = tuple(
-            (_said(name), Verbatim(value)) for name, value in flattened(session.description.about) if value.strip()
-        )
+        about = [(name, value) for name, value in flattened(session.description.about) if value.strip()]
         if about:
-            yield TextTable(say("report.about"), ("", ""), about)
+            rows = tuple((_said(name), Verbatim(value)) for name, value in about)
+            yield TextTable(say("report.about"), ("", ""), rows)
         yield set_up(session)
         yield next(session_tables(session, summarize(session)))  # of setups
 

@@ -28,16 +28,10 @@ def harm_words(found: Exported) -> str:
     if found.worse:
         return say("compensation.grow")
     grown = [_grown(one.name.upper(), one.rms_now, one.rms_left) for one in found.worse_along]
-    larger = [
-        _grown(one.name if one is found.left[-1] else one.name.upper(), one.largest_now, one.largest_left)
-        for one in found.left
-        if one.larger
-    ]
-    said = [
-        say(f"compensation.{key}", n=len(names), names=together(names, ", "))
-        for key, names in (("worse", grown), ("larger", larger))
-        if names
-    ]
+    names = {one: one.name if one is found.left[-1] else one.name.upper() for one in found.left if one.larger}
+    larger = [_grown(name, one.largest_now, one.largest_left) for one, name in names.items()]
+    told = [(key, of) for key, of in (("worse", grown), ("larger", larger)) if of]
+    said = [say(f"compensation.{key}", n=len(of), names=together(of, ", ")) for key, of in told]
     return together(said, "; ")
 
 

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `mtcal identify` tells people: the result document in words, micrometres and microradians."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.coverage import K
+from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult
@@ -35,9 +34,6 @@ from machine_tool_calibration.reports.values import STANDARDS, standard_tables, 
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import Said, Verbatim, named, say, together
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.history import Entry
 
 # By how much a standard uncertainty is widened by the noise's memory from which that is said.
 _MEMORY = 1.25

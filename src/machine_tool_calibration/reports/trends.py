@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is said of one machine over months: its logbook, whether an earlier map still holds, and what changes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +9,9 @@ from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.reports.quantities import probability, quantity
 from machine_tool_calibration.reports.tables import TextTable, heads, table
 from machine_tool_calibration.trends.check import SESSIONS, Change, Check
+from machine_tool_calibration.trends.logbook import Entry
+from machine_tool_calibration.trends.trend import Course, Trend
 from machine_tool_calibration.words import enumeration, say
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.trends.logbook import Entry
-    from machine_tool_calibration.trends.trend import Course, Trend
 
 # Figures of a hash that text shows, and changes that one line names.
 _SHORT, _MOST_CHANGES = 12, 3

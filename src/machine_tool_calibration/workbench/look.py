@@ -313,9 +313,8 @@ class MapPlot:
         self._source = source
         self._base = self.plot.scatter("x", "y", source=source, size=4, color="#999999")
         self._arrows = self.plot.segment("x", "y", "x1", "y1", source=source, color=color, line_width=1.4)
-        self._band = self.plot.ellipse(
-            "x1", "y1", "wx", "wy", source=source, fill_color=_BAND, fill_alpha=0.25, line_color=_BAND
-        )
+        band = {"fill_color": _BAND, "fill_alpha": 0.25, "line_color": _BAND}
+        self._band = self.plot.ellipse("x1", "y1", "wx", "wy", source=source, **band)
         self.plot.toolbar_location = None
 
     def show(self, found: ErrorMap, plane: str, factor: float, title: str) -> None:

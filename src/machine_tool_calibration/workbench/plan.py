@@ -181,9 +181,8 @@ class PlanPage:
         self._form = ProcedureForm(self._formed)
         self._variant = pn.widgets.Select(name="Model", options=["default"], width=130)
         self._warming = pn.widgets.FloatInput(name="Warming of the air, K/h", value=1.0, step=0.5, width=150)
-        self._angular = pn.widgets.FloatInput(
-            name="Angular errors, µrad RMS", value=1e6 * ANGULAR, start=0.0, end=1000.0, step=1.0, width=160
-        )
+        size = {"value": 1e6 * ANGULAR, "start": 0.0, "end": 1000.0, "step": 1.0}
+        self._angular = pn.widgets.FloatInput(name="Angular errors, µrad RMS", width=160, **size)
         self._plots(readings)
         self.view = pn.Column(
             look.controls(
@@ -209,20 +208,18 @@ class PlanPage:
         self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
         self._where = look.new_figure("What is measured", "", "", height=330, hover=_HOVER, match_aspect=True)
         now = readings.source(self.title, "place_a", "place_b")
-        self._where.scatter(
-            "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
-        )
+        square = {"size": 9, "marker": "square", "color": "#d8d8d8"}
+        self._where.scatter("place_a", "place_b", source=now, legend_label="now", **square)
         self._dots = self._where.scatter("x", "y", source=self._new, size=5, color="color", legend_label="with it")
         self._marks = look.draw_stations(self._where, self._stations, "x", "y")
         self._maps = {}
         self._map = look.new_figure("Uncertainty of the map", "", "", height=330, hover=_MAP_HOVER, match_aspect=True)
         for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
             source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
-            glyph = self._map.ellipse(
-                "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5
-            )
+            line = {"line_color": color, "line_width": 1.5}
+            glyph = self._map.ellipse("x", "y", "wx", "wy", source=source, fill_color=None, **line)
             # The legend would show the first ellipse, which may be a point.
-            self._map.line([np.nan], [np.nan], line_color=color, line_width=1.5, legend_label=label)
+            self._map.line([np.nan], [np.nan], legend_label=label, **line)
             self._maps[name] = (source, glyph)
         for plot in (self._where, self._map):
             look.legend_above(plot)
