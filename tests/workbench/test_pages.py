@@ -22,10 +22,9 @@ from machine_tool_calibration.workbench.handed_over import left
 from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import in_order
-from machine_tool_calibration.workbench.measurement import MeasurementPage
+from machine_tool_calibration.workbench.overview import MeasurementPage, ResultPage
 from machine_tool_calibration.workbench.page import _Window
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.result import ResultPage
 from machine_tool_calibration.workbench.server import quieten
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ import click
 
 from machine_tool_calibration.cli.shared import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError, RecordingError
+from machine_tool_calibration.reports.tables import Part
 
 if TYPE_CHECKING:
     from machine_tool_calibration.recording.reader import BagReader
@@ -55,16 +57,14 @@ def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:
     from machine_tool_calibration.reports.information import measurement_document, recording_parts, session_parts
     from machine_tool_calibration.session.summary import summarize
 
-    bag, session, absent = None, None, ""
+    bag, session, summary, absent = None, None, None, ""
     if not is_session_folder(measurement):
         bag, absent = _recording(measurement, topics)
+    parts: Iterable[Part] = () if bag is None else recording_parts(bag, absent)
     if not absent:
         session = open_measurement(measurement, topics, check=False)
-    summary = summarize(session) if session is not None else None
-    parts = chain(
-        recording_parts(bag, absent) if bag is not None else (),
-        session_parts(session, summary) if session is not None and summary is not None else (),
-    )
+        summary = summarize(session)
+        parts = chain(parts, session_parts(session, summary))
     tell_either(measurement_document(measurement, bag, session, summary, absent), parts, as_json)
     if summary is not None and summary.problem:
         raise CalibrationError(summary.problem)

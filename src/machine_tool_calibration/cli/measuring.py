@@ -15,8 +15,6 @@ from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.tables import TextTable
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
 _DOMAIN = click.IntRange(0, 232)
@@ -52,24 +50,18 @@ graph_options = options(
 def readings_bar() -> Iterator[Progress]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
     with bar("starting", counted=True) as update:
-        if update is None:
-            yield _lines(console(stderr=True))
-        else:
-            yield lambda text, done, total: update(description=text, completed=done, total=total)
+        screen, last, counted = console(stderr=True), "", 0
 
+        def show(text: str, done: int, total: int) -> None:
+            nonlocal last, counted
+            if update is not None:
+                update(description=text, completed=done, total=total)
+            elif text != last:
+                # The count once for every change of it: what is done before and after the readings has none.
+                screen.print(f"{text} ({done} of {total} readings)" if done != counted else text)
+                last, counted = text, done
 
-def _lines(screen: Console) -> Progress:
-    last, counted = "", 0
-
-    def show(text: str, done: int, total: int) -> None:
-        nonlocal last, counted
-        if text != last:
-            last = text
-            # The count once for every change of it: what is done before and after the readings has none.
-            screen.print(f"{text} ({done} of {total} readings)" if done != counted else text)
-            counted = done
-
-    return show
+        yield show
 
 
 def result_table(measured: Measured) -> TextTable:

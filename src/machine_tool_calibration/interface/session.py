@@ -164,15 +164,10 @@ def simulate(
         known = ", ".join(dict.fromkeys([*PLANS, *PRESETS]))
         raise CalibrationError(f"no plan {plan!r}; there are {known}")
     fields = {"seed": seed, "noise": noise, "noise_factor": noise_factor, "repeatability": repeatability}
-    spec = spec_from(
-        None,
-        method=None if plan in PRESETS else plan,
-        preset=plan if plan in PRESETS else None,
-        plan=settings,
-        machine=None if machine is None else os.fspath(machine),
-        effects=_flaws(effects),
-        fields={**fields, "spread": spread, "chips": chips or None, "missing": missing},
-    )
+    fields |= {"spread": spread, "chips": chips or None, "missing": missing}
+    method, preset = (None, plan) if plan in PRESETS else (plan, None)
+    own, path = _flaws(effects), None if machine is None else os.fspath(machine)
+    spec = spec_from(None, method=method, preset=preset, plan=settings, machine=path, effects=own, fields=fields)
     simulated = simulated_by(spec)
     return Measurement((simulated.session,), (plan,), simulated.truth.document())
 

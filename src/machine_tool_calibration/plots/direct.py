@@ -42,12 +42,9 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     _draw_run(panel, run)
     panel.set(xlabel=f"{run['axis']}, mm", ylabel=say("picture.deviation"))
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
-    known = (
-        (_SYMBOLS.get(name, name), as_exact(value, "m", run.get(f"{name}_U")))
-        for name, value in figures
-        if value is not None and np.isfinite(value)
-    )
-    values = together((together(one) for one in known), "   ")
+    known = [(name, value) for name, value in figures if value is not None and np.isfinite(value)]
+    said = (together((_SYMBOLS.get(name, name), as_exact(v, "m", run.get(f"{name}_U")))) for name, v in known)
+    values = together(said, "   ")
     figure.suptitle(together((say("picture.run", axis=run["axis"], setup=run["setup"]), values), "\n"))
     panel.legend(frameon=False)
     return figure

@@ -13,8 +13,6 @@ from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["draw_map", "draw_stations", "figures"]
-
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name, the first one first to be looked at."""

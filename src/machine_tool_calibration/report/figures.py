@@ -165,9 +165,8 @@ def _wrap_titles(figure: Figure) -> None:
 def map_pictures(found: Evaluation) -> Iterator[Picture]:
     """The map and what the method draws besides."""
     for name, figure in figures(found.measured.recorded, found.document).items():
-        if name == "error_motions":  # one by one in motion_pictures
-            continue
-        if name.startswith("iso230_"):  # with the figures of the standard
+        # One by one in motion_pictures, and with the figures of the standard.
+        if name == "error_motions" or name.startswith("iso230_"):
             continue
         yield Picture(name, say(f"report.figure_{name}" if name in _CAPTIONS else "report.figure"), figure)
 

@@ -225,10 +225,8 @@ def in_shop_units(table: pd.DataFrame) -> pd.DataFrame:
     turned = table["position_unit"] == "rad"
     out["position"] = np.where(turned, np.degrees(table["position"]), 1e3 * table["position"])
     out["position_unit"] = table["position_unit"].replace({"rad": "deg", "m": "mm"})
-    for name in (name for name in ("x", "y", "z") if name in table):
-        out[name] = (1e3 * table[name]).round(_DECIMALS)
-    for name in (name for name in ("a", "b", "c") if name in table):
-        out[name] = np.degrees(table[name]).round(_DECIMALS)
+    for name in table.columns.intersection([*"xyzabc"]):
+        out[name] = (1e3 * table[name] if name in "xyz" else np.degrees(table[name])).round(_DECIMALS)
     out["position"] = out["position"].astype(float).round(_DECIMALS)
     for k, U in enumerate(1e6 * table["U"]):
         for name, more in (("value", 0), ("u", 1), ("U", 0)):

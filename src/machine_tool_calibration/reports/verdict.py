@@ -116,9 +116,7 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     found = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
     residual = say("diagnosis.residual", found=found, declared=declared)
     if diagnosis.verdict == "missing_effect":
-        names = [_title(diagnosis, name) for name in diagnosis.accepted]
-        probabilities = [look.of(name).probability for name in diagnosis.accepted]
-        names = [_with_doubt(name, p) for name, p in zip(names, probabilities, strict=True)]
+        names = [_with_doubt(_title(diagnosis, name), look.of(name).probability) for name in diagnosis.accepted]
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
         return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:

@@ -18,10 +18,9 @@ from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.live import LivePage
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, controls, text, when_changed
-from machine_tool_calibration.workbench.measurement import MeasurementPage
+from machine_tool_calibration.workbench.overview import MeasurementPage, ResultPage
 from machine_tool_calibration.workbench.plan import PlanPage
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.result import ResultPage
 from machine_tool_calibration.workbench.state import State, measurements_in
 from machine_tool_calibration.workbench.work import Work
 
