@@ -248,7 +248,11 @@ def command(
     from machine_tool_calibration.importing import import_table, parse_mapping
     from machine_tool_calibration.recording.open import is_session_folder, open_measurement
 
-    sources, target = _sources_and_target(paths, dry_run=dry_run)
+    # A look at what would be read may do without a target, which is the last path.
+    looks = dry_run and (len(paths) == 1 or paths[-1].is_file())
+    if len(paths) == 1 and not looks:
+        raise click.UsageError("Missing argument 'TARGET'.")
+    sources, target = (paths, None) if looks else (paths[:-1], paths[-1])
     source = sources[0]
     for path in sources:
         if not path.exists():
@@ -288,15 +292,6 @@ def command(
         show(shared.console(), [f"{target}{read}", *of_topics])
     for topic in document.get("skipped", ()):
         shared.note(f"{topic} was left out: its messages have a type that cannot be read")
-
-
-def _sources_and_target(paths: Sequence[Path], *, dry_run: bool) -> tuple[Sequence[Path], Path | None]:
-    """The last path is the target; a look at what would be read may do without."""
-    if dry_run and (len(paths) == 1 or paths[-1].is_file()):
-        return paths, None
-    if len(paths) == 1:
-        raise click.UsageError("Missing argument 'TARGET'.")
-    return paths[:-1], paths[-1]
 
 
 def _form(target: Path | None, otherwise: str) -> str:

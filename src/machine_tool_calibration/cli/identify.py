@@ -73,6 +73,8 @@ def command(
         return
     if cluster["workers"] is not None or cluster["scheduler"]:
         raise click.UsageError("--workers and --scheduler go with --each.")
+    from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
+
     folder, written = output or (Path() if plot else None), list[Path]()
     with shared.progress_bar() as progress:
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
@@ -81,7 +83,8 @@ def command(
             written = [save(folder / "result.json", to_json(fit.document()) + "\n")] if output else []
             written += fit.save_pictures(folder)
         if table:
-            written.append(_write_values(fit, table, units))
+            values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
+            written.append(write_table(values, table, fit.result.provenance))
     shared.tell(fit, as_json)
     for path in () if as_json else written:
         shared.console().print(f"written: {path}")
@@ -102,10 +105,3 @@ def _identify_each(
     written = write_tables(identified_tables(done), output) if output else []
     shared.tell_either(identified_document(done), [identified_table(done)], as_json)
     shared.note_written(written)
-
-
-def _write_values(fit: Fit, table: Path, units: str) -> Path:
-    from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
-
-    values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
-    return write_table(values, table, fit.result.provenance)

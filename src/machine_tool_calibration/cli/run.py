@@ -22,19 +22,6 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.simulation.site import SiteSpec, read_site
 
 
-def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
-    """The procedure with the setups that come soonest to what is wanted, written into a folder."""
-    assumed = Assumed(model, errors=shared_errors)
-    with progress_bar() as progress:
-        text = quickest_plan(
-            read_text(file), str(file), assumed, u=None if until.u is None else until.u / K, told=until.told,
-            progress=progress,
-        )  # fmt: skip
-    chosen = Path(folder, file.name)
-    chosen.write_text(text, encoding="utf-8")
-    return chosen
-
-
 @click.command("run")
 @click.argument("procedure")
 @graph_options
@@ -104,8 +91,13 @@ def command(
     asked["parameters"] = None if parameters is None else parameters.resolve()
     setting = Setting(output=folder, site=world, until=wanted, **asked)
     with TemporaryDirectory() as own:
-        if wanted is not None:
-            file = _soonest(file, wanted, setting.model or None, own)
+        if wanted is not None:  # the setups that come soonest to it
+            assumed = Assumed(setting.model or None, errors=shared_errors)
+            u = None if wanted.u is None else wanted.u / K
+            with progress_bar() as share:
+                text = quickest_plan(read_text(file), str(file), assumed, u=u, told=wanted.told, progress=share)
+            file = Path(own, file.name)
+            file.write_text(text, encoding="utf-8")
         with readings_bar() as progress:
             measured = measure(file, setting, progress)
     parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]

@@ -18,7 +18,7 @@ from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.catalogue import METHODS
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.simulation import Simulated, SimulationSpec
+    from machine_tool_calibration.simulation import Simulated
 
 
 @click.command("simulate", no_args_is_help=True)
@@ -82,6 +82,7 @@ def command(
 
     A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
     """
+    from machine_tool_calibration.session.folder import write_session
     from machine_tool_calibration.simulation import simulate
     from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
 
@@ -101,21 +102,15 @@ def command(
     begun = read_spec(paths[0]) if len(paths) == 2 else None
     fields = {name: value for name, value in numbers.items() if value is not None}
     spec = spec_from(begun, method=method, preset=preset, plan=plan, machine=machine, effects=chosen, fields=fields)
-    simulated = simulate(spec)
-    _write(simulated, spec, paths[-1], overwrite)
-    summary = _summary(simulated, paths[-1])
-    tell_either(summary, _parts(summary, simulated), as_json)
-
-
-def _write(simulated: Simulated, spec: SimulationSpec, folder: Path, overwrite: bool) -> None:
-    from machine_tool_calibration.session.folder import write_session
-
+    simulated, folder = simulate(spec), paths[-1]
     truth = folder / "truth.json"
     if truth.exists() and not overwrite:
         raise CalibrationError(f"{folder}: holds a truth.json already; choose another folder, or --overwrite")
     write_session(simulated.session, folder, overwrite=overwrite)
     document = simulated.truth.document() | {"spec": spec.model_dump(mode="json", exclude_unset=True)}
     save(truth, to_json(document) + "\n")
+    summary = _summary(simulated, folder)
+    tell_either(summary, _parts(summary, simulated), as_json)
 
 
 def _summary(simulated: Simulated, folder: Path) -> dict[str, Any]:

@@ -27,14 +27,7 @@ _SEPARATION = ("effects", "measure", "separates", "cosine_before", "cosine_after
 
 
 def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence]) -> dict[str, Any]:
-    """The diagnosis as the contract's JSON document; what is not known is null.
-
-    Beyond the contract: `accepted` (effects named as the cause, the surest first), `likely` (those that are not sure
-    enough), `refused` (probable effects that are not added, with the reason), `sets` (sets of effects with their
-    probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce), and in
-    every candidate `plausible`, `explained_rms` and `predicts` (readings that were left out); `detectable`,
-    `excluded`, `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly
-    shows) and `dominant` (what dominates the map's uncertainty, and what makes it smaller).
+    """The diagnosis as the contract's JSON document, as docs/results.md describes it; what is not known is null.
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
     """
