@@ -41,18 +41,16 @@ def command(
     from machine_tool_calibration.interface.diagnosis import Comparison
     from machine_tool_calibration.plots.compare import draw
 
-    chosen = wanted.open(measurements).chosen
+    chosen, written = wanted.open(measurements).chosen, list[Path]()
     with progress_bar() as progress:
         progress("comparing")
         found = compare(chosen)
         if not isinstance(found, JointComparison):
             for name in against:
                 found.covariate(name)
-    answer, folder = Comparison(found), output or Path()
-    if output is not None or against:
-        with progress_bar() as progress:
+        if output is not None or against:
             progress("drawing")
-            pictures = draw(found, folder, against)
-            table = write_table(answer.residuals, folder / "comparison.csv", found.provenance)
-        note_written([*pictures, table])
-    tell(answer, as_json)
+            written = draw(found, output or Path(), against)
+            written.append(write_table(found.residuals, Path(output or "", "comparison.csv"), found.provenance))
+    note_written(written)
+    tell(Comparison(found), as_json)

@@ -17,8 +17,10 @@ from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.plots.diagnosis import save_improvement
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.reports.improvement import improvement_parts
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of
@@ -190,7 +192,15 @@ def command(
     with readings_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)
     with progress_bar() as share:
-        story = _story(number, hidden, measured, share)
+        improvement = improve(measured.session, progress=share)
+        share("drawing", 1.0)
+        folder = measured.output / "pictures"
+        first, final = (improvement.steps[k].result for k in (0, -1))
+        drawn = figures([measured.session], plain(final.document()))
+        pictures = [*save(drawn, folder, final.provenance), *save_improvement(improvement, folder)]
+        assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
+        before, after = error_against_truth(measured, first), error_against_truth(measured, final)
+    story = _Demonstration(number, hidden, measured, improvement, before, after, pictures)
     tell_either(_document(story), _parts(story), as_json)
 
 
@@ -208,23 +218,7 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
     return FlawSpec(id=wanted or name, size=low + share * (high - low))
 
 
-def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
-    from machine_tool_calibration.plots.diagnosis import save_improvement
-
-    improvement = improve(measured.session, progress=progress)
-    progress("drawing", 1.0)
-    folder = measured.output / "pictures"
-    first, final = (improvement.steps[k].result for k in (0, -1))
-    drawn = figures([measured.session], plain(final.document()))
-    pictures = [*save(drawn, folder, final.provenance), *save_improvement(improvement, folder)]
-    assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
-    before, after = error_against_truth(measured, first), error_against_truth(measured, final)
-    return _Demonstration(seed, hidden, measured, improvement, before, after, pictures)
-
-
 def _parts(story: _Demonstration) -> Iterator[Part]:
-    from machine_tool_calibration.reports.improvement import improvement_parts
-
     measured = story.measured
     yield (
         f"1. Measured: a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "

@@ -36,16 +36,14 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, details: bool, outpu
     """
     from machine_tool_calibration.budget import complete
     from machine_tool_calibration.interface.diagnosis import Diagnosis
+    from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
-    chosen = wanted.open(measurements).chosen
+    chosen, written = wanted.open(measurements).chosen, list[Path]()
     with progress_bar() as progress:
         found, then = complete.diagnose(chosen, progress=progress)
-    answer = Diagnosis.of(found, concluded=then)
-    if output is not None:
-        from machine_tool_calibration.plots.diagnosis import save_diagnosis
-
-        with progress_bar() as progress:
+        if output is not None:
             progress("drawing")
-            drawn = save_diagnosis(answer, answer.conclusions.changes, output)
-        note_written(drawn)
+            written = save_diagnosis(found, then.changes, output)
+    note_written(written)
+    answer = Diagnosis.of(found, concluded=then)
     tell(answer, as_json, answer.parts(details=details))

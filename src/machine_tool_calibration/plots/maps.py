@@ -10,22 +10,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.plots import style
 from machine_tool_calibration.plots.residuals import planes
-from machine_tool_calibration.plots.style import (
-    BAND,
-    COLORS,
-    FOUND,
-    MARKERS,
-    NOMINAL,
-    Axes,
-    Figure,
-    magnification,
-    mark_lost,
-    name_axes,
-    new_figure,
-    scale_bar,
-    spaced,
-)
+from machine_tool_calibration.plots.style import Axes, Figure
 from machine_tool_calibration.reports.quantities import expanded_text, p_value
 from machine_tool_calibration.session.session import distinct_places
 from machine_tool_calibration.words import say, together
@@ -44,7 +31,7 @@ def draw_best_plan(found: BestPlan) -> Figure:
     if found.effects:
         raise CalibrationError("a plan for effects has no map to be drawn")
     shown = planes(found.points, np.zeros((1, 3)))
-    figure = new_figure(11.0, 4.6 * len(shown), say("picture.plan_title"))
+    figure = style.new_figure(11.0, 4.6 * len(shown), say("picture.plan_title"))
     rows = figure.subplots(len(shown), 2, squeeze=False)
     known = [2e6 * one.u[np.isfinite(one.u)] for one in (found.present, found.best)]
     top = max((float(values.max()) for values in known if len(values)), default=1.0)
@@ -58,7 +45,7 @@ def draw_best_plan(found: BestPlan) -> Figure:
 def _plane(panel: Axes, points: Array, one: PlanQuality, axes: tuple[int, int], top: float) -> None:
     """Places as dots in the colour of the largest U of those that lie on each other; the stations as triangles."""
     a, b = axes
-    name_axes(panel, a, b)
+    style.name_axes(panel, a, b)
     seen = np.where(np.arange(3) == 3 - a - b, 0.0, points)
     first, which = distinct_places(seen)
     places = seen[first]
@@ -66,7 +53,7 @@ def _plane(panel: Axes, points: Array, one: PlanQuality, axes: tuple[int, int], 
     np.maximum.at(largest, which, 2e6 * one.u)
     good = np.isfinite(largest)
     if not good.any():
-        mark_lost(panel)
+        style.mark_lost(panel)
         return
     where = 1e3 * places[:, [a, b]]
     dots = panel.scatter(where[good, 0], where[good, 1], c=largest[good], s=70, cmap="viridis", vmin=0.0, vmax=top)
@@ -90,7 +77,7 @@ def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
     axes = [k for k in range(3) if np.ptp(errors.points[:, k]) > _EXTENT] or [0]
     rows = [(say("compensation.along", axis="XYZ"[j]), j) for j in range(3) if errors.known[:, j].any()]
     words = together((title, say("compensation.title")), "\n")
-    figure = new_figure(1.2 + 3.9 * len(axes), 0.9 + 2.3 * (len(rows) + 1), words)
+    figure = style.new_figure(1.2 + 3.9 * len(axes), 0.9 + 2.3 * (len(rows) + 1), words)
     panels = figure.subplots(len(rows) + 1, len(axes), sharex="col", sharey="row", squeeze=False)
     for line, (name, j) in zip(panels[:-1], rows, strict=True):
         at = errors.known[:, j]
@@ -112,10 +99,10 @@ def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
 def _draw(panel: Axes, where: Array, before: Array, after: Array) -> None:
     # beside each other, so that neither hides the other
     aside = _ASIDE * float(np.ptp(where))
-    hollow: dict[str, Any] = {"color": COLORS[1], "ms": 4.5, "mfc": "none", "label": say("compensation.before")}
-    full: dict[str, Any] = {"color": FOUND, "ms": 4.0, "mew": 0.0, "label": say("compensation.left_over")}
-    panel.plot(1e3 * (where - aside), 1e6 * before, MARKERS[1], **hollow)
-    panel.plot(1e3 * (where + aside), 1e6 * after, MARKERS[0], **full)
+    hollow: dict[str, Any] = {"color": style.COLORS[1], "ms": 4.5, "mfc": "none", "label": say("compensation.before")}
+    full: dict[str, Any] = {"color": style.FOUND, "ms": 4.0, "mew": 0.0, "label": say("compensation.left_over")}
+    panel.plot(1e3 * (where - aside), 1e6 * before, style.MARKERS[1], **hollow)
+    panel.plot(1e3 * (where + aside), 1e6 * after, style.MARKERS[0], **full)
     panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
 
 
@@ -125,7 +112,7 @@ def _band(panel: Axes, where: Array, spread: Array, *, signed: bool) -> None:
     square = np.bincount(group.ravel(), spread**2) / np.bincount(group.ravel())
     half = 2e6 * np.sqrt(square)
     low = -half if signed else 0.0 * half
-    panel.fill_between(1e3 * _SAME_POSITION * place, low, half, color=BAND, alpha=0.5, lw=0, zorder=0)
+    panel.fill_between(1e3 * _SAME_POSITION * place, low, half, color=style.BAND, alpha=0.5, lw=0, zorder=0)
 
 
 # Largest error as a share of the size of the map.
@@ -145,17 +132,17 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     key = "picture.maps_agree" if comparison.agree else "picture.maps_differ"
     chance = {} if comparison.p_value is None else {"p": p_value(comparison.p_value)}
     title = say(f"{key}_p" if chance else key, n=comparison.beyond, count=comparison.count, **chance)
-    figure = new_figure(12.4, 6.4, title)
+    figure = style.new_figure(12.4, 6.4, title)
     left, right = figure.subplots(1, 2)
     if len(axes) > 1:
         _places(left, comparison, (int(axes[0]), int(axes[1])))
     else:
         _profiles(left, comparison, int(axes[0]))
     number = np.arange(len(comparison.points)) + 1
-    right.axhspan(-1.0, 1.0, color=BAND, alpha=0.18, lw=0)
+    right.axhspan(-1.0, 1.0, color=style.BAND, alpha=0.18, lw=0)
     right.axhline(0.0, color="0.6", lw=0.8)
     for k, j in enumerate(axes):
-        marker, color = MARKERS[k + 2], COLORS[k + 2]
+        marker, color = style.MARKERS[k + 2], style.COLORS[k + 2]
         label = say("picture.along", axis="xyz"[j])
         right.plot(number, comparison.normalised[:, j], marker, color=color, ms=5, label=label)
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -173,21 +160,22 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
     both = [1e3 * values[:, pick] for values in (comparison.first, comparison.second)]
     largest = 1e-3 * float(np.nanmax(np.abs(both), initial=0.0))
     extent = 1e-3 * float(np.ptp(nominal, axis=0).max())
-    scale = magnification(largest, extent, _ERROR_SHARE)
-    panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label=say("picture.commanded"))
+    scale = style.magnification(largest, extent, _ERROR_SHARE)
+    panel.plot(*nominal.T, "+", color=style.NOMINAL, ms=8, label=say("picture.commanded"))
     drawn = [nominal]
     for k, (values, label) in enumerate(zip(both, comparison.labels, strict=True)):
         found = nominal + scale * values
-        panel.add_collection(LineCollection(list(np.stack([nominal, found], axis=1)), colors=COLORS[k], linewidths=0.8))
-        panel.plot(*found.T, MARKERS[k], color=COLORS[k], ms=6 - 2 * k, label=label)
+        moved = list(np.stack([nominal, found], axis=1))
+        panel.add_collection(LineCollection(moved, colors=style.COLORS[k], linewidths=0.8))
+        panel.plot(*found.T, style.MARKERS[k], color=style.COLORS[k], ms=6 - 2 * k, label=label)
         drawn.append(found[np.isfinite(found).all(axis=1)])
     shown = np.concatenate(drawn)
     if largest > 0:
-        scale_bar(panel, scale, largest, shown.min(axis=0), shown.max(axis=0))
+        style.scale_bar(panel, scale, largest, shown.min(axis=0), shown.max(axis=0))
     panel.set_aspect("equal")
     panel.margins(0.08)
-    name_axes(panel, *axes)
-    panel.set_title(say("picture.errors_magnified", scale=spaced(scale)), fontsize="medium")
+    style.name_axes(panel, *axes)
+    panel.set_title(say("picture.errors_magnified", scale=style.spaced(scale)), fontsize="medium")
     panel.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
 
 
@@ -200,7 +188,7 @@ def _profiles(panel: Axes, comparison: MapComparison, axis: int) -> None:
     for k, ((value, u), label) in enumerate(zip(pairs, comparison.labels, strict=True)):
         panel.errorbar(
             where[order], 1e6 * value[order, axis], 2e6 * u[order, axis],
-            fmt=f"{MARKERS[k]}-", color=COLORS[k], ms=5, lw=1.2, capsize=3, label=label,
+            fmt=f"{style.MARKERS[k]}-", color=style.COLORS[k], ms=5, lw=1.2, capsize=3, label=label,
         )  # fmt: skip
     panel.set(xlabel=f"{'xyz'[along]}, mm", ylabel=say("picture.error_bars", axis="xyz"[axis]))
     panel.legend(frameon=False, fontsize="small")

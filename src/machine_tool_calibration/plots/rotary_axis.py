@@ -29,7 +29,13 @@ def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
     angle = np.degrees(numbers(content[axis.lower()]))
     for panel, component in zip(panels.flat, "XYZABC", strict=True):
         name = f"E{component}{axis}"
-        _curve(panel, angle, 1e6 * numbers(content[name]), 1e6 * numbers(content[f"{name}_u"]))
+        value = 1e6 * numbers(content[name])
+        panel.axhline(0.0, color="0.8", linewidth=0.8)
+        draw_band(panel, angle, value, 1e6 * numbers(content[f"{name}_u"]))
+        for lost in angle[~np.isfinite(value)]:
+            panel.axvline(lost, color="0.6", linestyle=":", linewidth=1)
+        if not np.isfinite(value).any():
+            mark_lost(panel)
         panel.set(title=_headed(name, component, axis), ylabel="µm" if component in "XYZ" else "µrad")
     for panel in panels[1]:
         panel.set_xlabel(f"{axis}, °")
@@ -43,15 +49,6 @@ def _headed(name: str, component: str, axis: str) -> str:
         return say("picture.tilt", name=name, axis="XYZ"["ABC".index(component)])
     axial = "XYZ".index(component) == "ABC".index(axis)
     return say("picture.axial" if axial else "picture.radial", name=name)
-
-
-def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
-    panel.axhline(0.0, color="0.8", linewidth=0.8)
-    draw_band(panel, angle, value, uncertainty)
-    for lost in angle[~np.isfinite(value)]:
-        panel.axvline(lost, color="0.6", linestyle=":", linewidth=1)
-    if not np.isfinite(value).any():
-        mark_lost(panel)
 
 
 def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:

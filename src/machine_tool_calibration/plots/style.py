@@ -95,8 +95,8 @@ def draw_band(panel: Axes, at: Array, value: Array, u: Array, color: str = FOUND
 
 def mark_lost(panel: Axes, height: float = 0.5) -> None:
     """Say in the middle of a panel that there is nothing to draw."""
-    where: dict[str, Any] = {"transform": panel.transAxes, "ha": "center", "va": "center", "color": "0.4"}
-    panel.text(0.5, height, say("text.not_determined"), **where)
+    middle: dict[str, Any] = {"transform": panel.transAxes, "ha": "center", "va": "center"}
+    panel.text(0.5, height, say("text.not_determined"), color="0.4", **middle)
 
 
 def name_axes(panel: Axes, i: int, j: int, letters: str = "xyz") -> None:

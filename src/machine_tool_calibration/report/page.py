@@ -45,11 +45,14 @@ def save_all(
     figures: Path | None,
     progress: Callable[[str, float], None],
 ) -> list[Path]:
-    """Write files, each made by its ending, and the pictures in a folder if one is given; returns all of them."""
+    """Write files, each made by its ending, and the pictures as SVG in a folder if one is given; returns all."""
     for k, file in enumerate(files, start=1):
         progress(f"writing {file.name}", k / (len(files) + 1))
         save(file, made(file.suffix.lower()))
-    return [*files, *(save_pictures(content, figures) if figures else ())]
+    if figures is None:
+        return list(files)
+    every = [block for section in content for block in section.blocks if isinstance(block, Picture)]
+    return [*files, *(save(figures / f"{one.name.replace('/', '-')}.svg", one.svg) for one in every)]
 
 
 def check_endings(files: Sequence[Path], *, certificate: bool = False) -> None:
@@ -104,18 +107,7 @@ def rendered(template: str, *packages: str | Path, **values: Any) -> str:
     environment.tests["picture"] = lambda block: isinstance(block, Picture)
     environment.tests["table"] = lambda block: isinstance(block, TextTable)
     environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
-    return printable(environment.get_template(template).render(**values))
-
-
-def printable(text: str) -> str:
-    """A text with the sign for what cannot be shown in the place of control characters."""
-    return text.translate(_UNPRINTABLE)
-
-
-def save_pictures(content: Sequence[Section], folder: Path) -> list[Path]:
-    """Write the pictures as SVG files of their names."""
-    pictures = [block for section in content for block in section.blocks if isinstance(block, Picture)]
-    return [save(folder / f"{picture.name.replace('/', '-')}.svg", picture.svg) for picture in pictures]
+    return environment.get_template(template).render(**values).translate(_UNPRINTABLE)
 
 
 def pdf(page: str, files: Sequence[tuple[str, bytes, str]] = (), **options: Any) -> bytes:

@@ -49,14 +49,9 @@ def _scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
         half = np.sqrt(scatter["found"] ** 2 - own**2)
         contained = K * np.nanmedian(np.array(content["position_error_u"], dtype=float)) > half
         return together((agree, say("fit.reversal" if contained else "fit.reversal_beside")))
-    if used:
-        return say("fit.scatter_used", ratio=ratio, both=both)
-    if how == "bad":
-        # What differs from run to run takes it up, so that the scatter beside that is as declared.
-        return say("fit.runs_differ", ratio=ratio, both=both)
-    if how == "too well":
-        return say("fit.declared_used", ratio=ratio, both=both)
-    return say("fit.scatter_as_declared", both=both)
+    # Where it is bad all the same, what differs from run to run takes it up: the scatter beside that is as declared.
+    key = {"bad": "runs_differ", "too well": "declared_used"}.get(how, "scatter_as_declared")
+    return say(f"fit.{'scatter_used' if used else key}", ratio=ratio, both=both)
 
 
 def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:

@@ -75,12 +75,10 @@ def forecast_parts(found: Forecast) -> Iterator[Part]:
 
 def _uncertainty_row(name: str, values: Any) -> tuple[str, str, str, str] | None:
     """RMS and largest expanded uncertainty of an entry of the map."""
-    if not isinstance(values, list):
+    if not isinstance(values, list) or not np.size(values):
         return None
     found = np.array(values, dtype=float).ravel()
     good = np.isfinite(found)
-    if not len(found):
-        return None
     lost = say("text.of", n=int((~good).sum()), count=len(found)) if not good.all() else ""
     if not good.any():
         return name, "–", "–", lost
