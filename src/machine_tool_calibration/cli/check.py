@@ -64,7 +64,8 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
             model, effects = last.result["model"], tuple(last.result["effects"])
             base = replace(asked, sessions=(last.session,), model=model, effects=effects)
             first = replace(state(base, last.label), date=last.date)
-            alike = [e for e in entries if _made_by(e) == _made_by(last)]
+            keys = ("method", "model", "effects")
+            alike = [e for e in entries if all(str(e.result.get(k)) == str(last.result.get(k)) for k in keys)]
             history = [of_result(one.result, one.label) for one in alike]
         elif (document := _document(earlier)) is not None:
             first = of_result(document, str(earlier))
@@ -95,10 +96,6 @@ def _before(entries: tuple[Entry, ...], asked: FitRequest) -> list[Entry]:
     if not found:
         raise CalibrationError(f"{entries[0].machine}: the logbook has no entry before this measurement")
     return found
-
-
-def _made_by(entry: Entry) -> tuple[object, ...]:
-    return tuple(str(entry.result.get(key)) for key in ("method", "model", "effects"))
 
 
 def _document(path: Path) -> dict[str, object] | None:

@@ -66,9 +66,8 @@ def evaluate(
     progress("identifying", 0.0)
     result = identify_sessions(measured.chosen)
     held = compare(result)
-    improved = then = None
+    improved = then = budget = verdicts = None
     fitted = fitted_sessions(result)
-    budget = None
     own = declared_contributors(measured.recorded)
     general = not contributors and not own
     contributors = contributors or own or (known_contributors(measured.recorded)[0] if tolerances else ())
@@ -80,7 +79,6 @@ def evaluate(
         progress("uncertainty budget", 0.0)
         budget = propagate(fitted, contributors, seed=seed)
         result = completed(result, budget)
-    verdicts = None
     if tolerances:
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, rule=rule, level=level, budget=budget, seed=seed)

@@ -74,7 +74,8 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     if (chi := document.get("reduced_chi_square")) is not None:
         rows.append((say("result.chi"), say("result.chi_value", value=rounded(chi))))
     error_map = document.get("error_map") or {}
-    error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
+    every = (error_map.get(key) or np.zeros((0, 3)) for key in ("position_error", "position_error_u"))
+    error, uncertainty = (np.array(value, dtype=float) for value in every)
     known = bool(np.isfinite(uncertainty).any())
     if error.size:
         count = len(error)
@@ -144,10 +145,6 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = say("result.lost_values", text=text, n=int((~good).sum()), count=len(good))
         out.append((title, text))
     return out
-
-
-def _array(value: Any) -> np.ndarray:
-    return np.array(value, dtype=float) if value else np.zeros((0, 3))
 
 
 def _rms(vectors: np.ndarray) -> float:

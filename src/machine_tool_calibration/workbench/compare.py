@@ -89,8 +89,7 @@ class ComparePage:
             plot.add_layout(self._band[k])
         self._map = new("Residuals as arrows", "", "", match_aspect=True)
         self._map.scatter("across", "up", **shown, size=3, color="#999999", nonselection_alpha=0.3)
-        faint = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
-        self._map.segment("across", "up", "u", "v", **shown, color="arrow", line_width=1.3, **faint)
+        self._map.segment("across", "up", "u", "v", **shown, color="arrow", line_width=1.3, **look.FAINT)
         self._strip = new("Residuals by setup, worst on top", "residual, µm", "", y_range=FactorRange())
         self._strip.scatter("residual", "setup", **shown, size=4, color="color", alpha=0.5, **look.DIM)
         self._strip.add_layout(self._band[2])

@@ -17,8 +17,6 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-_HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
-_DIM = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
 _BEFORE, _AFTER = "#d55e00", "#0072b2"
 _DRAWN = ("place_a", "place_b", "before_u", "before_v", "after_u", "after_v")
 _HEIGHT = 280
@@ -45,10 +43,11 @@ class ImprovePage:
         source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", *_DRAWN)
         self._residuals, self._maps = {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
-            plot = self._residuals[name] = look.new_figure("", "", "", hover=_HOVER, match_aspect=True, height=_HEIGHT)
+            plot = look.new_figure("", "", "", hover=look.HOVER, match_aspect=True, height=_HEIGHT)
+            self._residuals[name] = plot
             plot.scatter("place_a", "place_b", source=source, size=3, color="#999999", nonselection_alpha=0.3)
             ends = ("place_a", "place_b", f"{name}_u", f"{name}_v")
-            plot.segment(*ends, source=source, color="color", line_width=1.2, **_DIM)
+            plot.segment(*ends, source=source, color="color", line_width=1.2, **look.FAINT)
             plot.toolbar_location = None
             self._maps[name] = look.MapPlot(color)
         # Both of a pair are seen in the same frame.

@@ -37,7 +37,10 @@ h2 { font-size: 16px; margin: 0; display: inline; } code { font-size: 12px; }
 .note { color: #555; font-size: 11px; } .error { color: #b00020; font-weight: 600; }
 """
 DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
-"""How points look that are not selected."""
+FAINT = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
+"""How points look that are not selected, and lines."""
+HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
+"""What is told of a reading."""
 _SHORT = 24  # characters of a table's cell that are not broken
 _TOOLS = "box_select,lasso_select,tap,pan,wheel_zoom,box_zoom,reset"
 BUTTON = """

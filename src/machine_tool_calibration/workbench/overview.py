@@ -20,8 +20,6 @@ from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-_HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
-
 
 class MeasurementPage:
     """What is there."""
@@ -38,7 +36,7 @@ class MeasurementPage:
         self._plots = {}
         for view, (a, b) in VIEWS.items():
             axes = (f"{'xyz'[a]}, mm", f"{'xyz'[b]}, mm")
-            plot = self._plots[view] = look.new_figure(f"Seen in {view}", *axes, hover=_HOVER, match_aspect=True)
+            plot = self._plots[view] = look.new_figure(f"Seen in {view}", *axes, hover=look.HOVER, match_aspect=True)
             plot.scatter(*view, source=source, size=4, color="color", alpha=0.7, **look.DIM)
             look.draw_stations(plot, self._stations, *view)
         below = look.beside(*self._plots.values(), self._setups, self._more)
