@@ -245,7 +245,6 @@ def command(
       mtcal convert steps.csv steps --table readings --description session.yaml --unit mm \\
         --column "displacement=Reading [um]"
     """
-    from machine_tool_calibration.importing import import_table, parse_mapping
     from machine_tool_calibration.recording.open import is_session_folder, open_measurement
 
     # A look at what would be read may do without a target, which is the last path.
@@ -259,6 +258,8 @@ def command(
             raise CalibrationError(f"{path}: no such file or folder")
     imported = own = None
     if foreign["table"] is not None or foreign["mapping"] is not None:
+        from machine_tool_calibration.importing import import_table, parse_mapping
+
         content, name = _mapping_from(foreign, description)
         imported = import_table(sources, parse_mapping(content, name), name=setup_name)
     else:
