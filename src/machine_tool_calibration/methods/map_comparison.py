@@ -251,13 +251,13 @@ def states(points: Array, content: Mapping[str, Any]) -> Array:
     return np.concatenate([points, approach], axis=1) if several and approach.shape == points.shape else points
 
 
-def common_points(first: Array, second: Array) -> tuple[IntArray, IntArray]:
-    """Numbers of the `states` that are in both maps, in the first one's order; each once."""
+def common_points(first: Array, second: Array, within: float = _SAME_POINT) -> tuple[IntArray, IntArray]:
+    """Numbers of the `states` that are in both maps (`within`, m), in the first one's order; each once."""
     from scipy.spatial import cKDTree
 
     width = min(first.shape[1], second.shape[1])
     first, second = first[:, :width], second[:, :width]
-    found = cKDTree(second).query(first, distance_upper_bound=_SAME_POINT)
+    found = cKDTree(second).query(first, distance_upper_bound=within)
     distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     mine = np.flatnonzero(np.isfinite(distance))
     _, once = np.unique(nearest[mine], return_index=True)

@@ -23,6 +23,8 @@ from machine_tool_calibration.session.session import Readings, Session
 
 # Standard uncertainty of readings that are to say nothing of the machine, m: thousands of times that of an instrument.
 _SILENT_UNCERTAINTY = 1e-3
+# How far one place may be found from itself by other readings, m.
+_NEAR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,9 @@ def outlooks(
         except (CalibrationError, np.linalg.LinAlgError):
             continue
         observations = joint.fits[k].model.observations
-        # A map of several sessions gets places more.
+        # A map of several sessions gets places more, and targets are found elsewhere, by less than they are apart.
         after = np.full_like(now, np.nan)
-        mine, theirs = common_points(*(states(own.points, own.content) for own in (published, error_map)))
+        mine, theirs = common_points(*(states(own.points, own.content) for own in (published, error_map)), _NEAR)
         after[mine] = error_map.uncertainty[theirs]
         new = observations.readings.row >= option.first_row
         found = Outlook(
