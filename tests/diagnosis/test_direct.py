@@ -378,3 +378,26 @@ def test_of_what_slips_nothing_is_named_whose_size_may_be_zero() -> None:
     for name in found.accepted:
         sizes = effect_estimates(found.fits[-1], [name])
         assert any(abs(one.value) > 2.0 * one.standard_uncertainty for one in sizes), name
+
+
+def test_what_one_place_is_off_by_is_no_warm_up() -> None:
+    """Without a term or an offset there is nothing else that a constant could be, but an effect of the time."""
+    for seed in range(4):
+        rng, zero = np.random.default_rng(seed), np.zeros(60)
+        columns = {"time": 60.0 * np.arange(60), "x": zero, "gx": zero + 1.0, "gy": zero, "gz": zero}
+        session = plates.session({**columns, "displacement": 1e-6 + 1e-6 * rng.normal(size=60)}, 1e-6)
+        found = diagnose(session)
+        assert not found.accepted and found.verdict == "adequate"
+        assert found.fitted[0].error_map.error[0, 0] == pytest.approx(1e-6, abs=4e-7)
+
+
+def test_a_place_that_is_off_each_time_is_said_to_be() -> None:
+    rng = np.random.default_rng(1)
+    x, y, run = (a.ravel() for a in np.meshgrid(np.arange(6), np.arange(6), np.arange(4), indexing="ij"))
+    off = 317e-6 * ((x == 2) & (y == 3))
+    zero = np.zeros(len(x))
+    columns = {"x": 0.05 * x, "y": 0.05 * y, "z": zero, "gx": zero, "gy": zero, "gz": zero + 1.0}
+    columns["displacement"] = off + 2e-6 * rng.normal(size=len(x))
+    found = diagnose(plates.session(columns, 2e-6, "none", ["EZX", "EZY"], run))
+    assert len(found.gross_errors) == 4 and all(one.repeated for one in found.gross_errors)
+    assert "diagnosis.outliers_repeat" in [k for words in verdict_words(found, {}, Advice()) for k in keys(words)]

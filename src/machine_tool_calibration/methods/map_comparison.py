@@ -219,7 +219,8 @@ def compare_fits(
     for both in itertools.product(*sessions):
         refuse_repeated(both, labels)
     maps = first.error_map, second.error_map
-    pairs = common_points(*(states(own.points, own.content) for own in maps))
+    one, two = (states(own.points, own.content) for own in maps)
+    pairs = common_points(one, two)
     if not len(pairs[0]):
         raise ModelError(
             "the maps have no point in common: measure at the same commanded positions, or take a model whose map "
@@ -251,7 +252,7 @@ def states(points: Array, content: Mapping[str, Any]) -> Array:
     return np.concatenate([points, approach], axis=1) if several and approach.shape == points.shape else points
 
 
-def common_points(first: Array, second: Array, within: float = _SAME_POINT) -> tuple[IntArray, IntArray]:
+def common_points(first: Array, second: Array, *, within: float = _SAME_POINT) -> tuple[IntArray, IntArray]:
     """Numbers of the `states` that are in both maps (`within`, m), in the first one's order; each once."""
     from scipy.spatial import cKDTree
 

@@ -101,7 +101,8 @@ class JointFit(Solved):
         """Sum of squared residuals over the declared uncertainty, over the degrees of freedom."""
         counted = [self.normalised(k) ** 2 for k in range(len(self.fits))]
         over = [(m.sigma / m.declared_sigma) ** 2 - 1.0 for m in self.assembly.models]
-        return self.variance + sum(map(np.dot, counted, over)) / self.solution.degrees_of_freedom
+        more = sum(float(one @ other) for one, other in zip(counted, over, strict=True))
+        return self.variance + more / self.solution.degrees_of_freedom
 
     @property
     def p_value(self) -> float:

@@ -92,7 +92,8 @@ def outlooks(
         observations = joint.fits[k].model.observations
         # A map of several sessions gets places more, and targets are found elsewhere, by less than they are apart.
         after = np.full_like(now, np.nan)
-        mine, theirs = common_points(*(states(own.points, own.content) for own in (published, error_map)), _NEAR)
+        before, found_at = (states(own.points, own.content) for own in (published, error_map))
+        mine, theirs = common_points(before, found_at, within=_NEAR)
         after[mine] = error_map.uncertainty[theirs]
         new = observations.readings.row >= option.first_row
         found = Outlook(

@@ -88,7 +88,9 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
         yield say("fit.free")
         return
     places = len(np.unique(np.round(points / SAME_POSITION), axis=0))
-    nodes = min((len(table["nodes"]) for table in content["tables"].values() if "nodes" in table), default=places)
+    nodes = min(
+        (len(table["nodes"]) for table in content.get("tables", {}).values() if "nodes" in table), default=places
+    )
     if nodes < places:
         yield say("fit.free_nodes", nodes=nodes, places=places)
 

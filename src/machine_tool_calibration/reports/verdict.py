@@ -135,7 +135,10 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     else:
         sound = say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
     # Of the readings that were not set aside.
-    outliers = say("diagnosis.outliers", n=len(diagnosis.gross_errors))
+    free = all("free" in spec_of(session).models for session in diagnosis.chosen.sessions)
+    repeated = sum(one.repeated for one in diagnosis.gross_errors) if free else 0
+    key = "outliers_repeat" if repeated else "outliers"
+    outliers = say(f"diagnosis.{key}", n=len(diagnosis.gross_errors), repeated=repeated)
     return together((outliers, sound)) if diagnosis.verdict == "outliers" else sound
 
 

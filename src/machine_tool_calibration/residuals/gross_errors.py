@@ -65,6 +65,7 @@ class Outlier:
     deviation: float | None  # that deviation, m; None where all others tell nothing of it
     reason: str = "it does not belong to the rest"  # in words
     ambiguous: bool = False  # whether it, or another one that was set aside with it, is wrong
+    repeated: bool = False  # whether its place was read again, and is off as much each time
 
 
 @single_blas()
@@ -320,8 +321,9 @@ class _Search:
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
         left = np.bincount(near, ~gone)
-        out, predicted = [], fit.predicted
-        for k in np.flatnonzero(gone):
+        out, predicted, every = [], fit.predicted, np.flatnonzero(gone)
+        again = self.neighbours.repeated(every, fit.residual, fit.bulk.scale * fit.bulk.limit)
+        for k, repeated in zip(every, again.tolist(), strict=True):
             deviation, times = float(fit.residual[k] * self.sigma[k]), float(predicted[k])
             others = [int(j) for j in alike.get(int(k), ()) if j != k]
             words = f"it is off by {_size(deviation)} from what all others say, {abs(times):.1f} times its scatter"
@@ -331,10 +333,12 @@ class _Search:
                     differ = abs(self.readings.displacement[k] - self.readings.displacement[others[0]])
                     words = f"two readings of one place differ by {_size(float(differ))}"
                 words += " and nothing tells which is right"
+            elif repeated:
+                words += ", and so is its place each time"
             if not left[near[k]]:
                 words += "; no other reading of its place is left"
             told = deviation if fit.spread[k] < _UNTOLD else None
-            out.append(Outlier(int(rows[k]), times, told, words, ambiguous=int(k) in alike))
+            out.append(Outlier(int(rows[k]), times, told, words, int(k) in alike, repeated))
         return out
 
 
