@@ -10,7 +10,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.rounding import by_rounding
-from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Readings, Session, joined
 
 # Share of an axis's travel that readings cover at least where functions are scaled on the travel. With half of it, the
@@ -70,24 +69,15 @@ class Observations:
 
     @property
     def place(self) -> IntArray:
-        """(n,) index shared by readings that repeat each other: same setup, place, target and direction of approach."""
-        return self.alike()
-
-    def alike(self, *, setup: bool = True, side: bool = True) -> IntArray:
-        """(n,) the same, in whatever setup, or from whatever side."""
-        readings = self.readings
-        names = (*"xyzabc", *(f"dir_{axis}" for axis in "xyzabc" if side))
-        keys = [np.round(readings.columns[name] * 1e9) for name in names if name in readings.columns]
-        if spec_of(self.session).reads_machine:
-            # Deviations of one hole along x and along y do not repeat each other.
-            keys += list(np.round(self.direction.T * 1e6))
-        return groups(readings.setup if setup else 0 * readings.setup, *keys, *readings.labels.values())
+        """(n,) number shared by readings that repeat each other (`Readings.alike`)."""
+        return self.readings.alike()
 
     @cached_property
     def rounding(self) -> Array:
         """(n,) standard uncertainty of each reading by its last digit, m; 0 where it has none."""
         readings = self.readings
-        return by_rounding(readings.displacement, self.path, readings.setup, self.alike(side=False), self.place)
+        spot = readings.alike(approach=False)
+        return by_rounding(readings.displacement, self.path, readings.setup, spot, self.place)
 
     @property
     def moves(self) -> bool:

@@ -244,7 +244,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
 
 def _setups(observations: Observations) -> Iterator[Family]:
     """Offsets of setups that read the same as others, in several runs each, and have no offset in the model."""
-    readings, same = observations.readings, observations.alike(setup=False)
+    readings, same = observations.readings, observations.readings.alike(setup=False)
     if getattr(observations.session.description, "datum", None) != "none" or not len(readings):
         return
     setup = groups(readings.setup)

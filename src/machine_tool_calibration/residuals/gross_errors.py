@@ -47,7 +47,7 @@ from machine_tool_calibration.residuals.gross_error_sets import (
     predicted_by_others,
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
-from machine_tool_calibration.residuals.neighbours import Neighbours, same_place
+from machine_tool_calibration.residuals.neighbours import Neighbours
 from machine_tool_calibration.session.session import Session
 
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
@@ -316,8 +316,12 @@ class _Search:
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""
-        rows, place = self.readings.row, same_place(self.readings)
-        near = self.part.point_of_reading() if self.part.dimension else same_place(self.readings, any_setup=True)
+        rows, place = self.readings.row, self.readings.alike(approach=False)
+        near = (
+            self.part.point_of_reading()
+            if self.part.dimension
+            else self.readings.alike(setup=False, approach=False, signed=False)
+        )
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
         left = np.bincount(near, ~gone)

@@ -3,19 +3,9 @@
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, unsigned
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.session.session import Readings
-
-
-def same_place(readings: Readings, *, any_setup: bool = False) -> IntArray:
-    """(n,) index shared by readings that repeat each other, however approached (and mounted, or from which side)."""
-    places = [np.round(readings.columns[a] * 1e9) for a in "xyzabc" if a in readings.columns]
-    senses = np.array([readings.columns[a] for a in ("gx", "gy", "gz") if a in readings.columns])
-    if any_setup and len(senses):
-        senses = unsigned(senses.T).T
-    setup = [] if any_setup else [readings.setup]
-    return groups(*setup, *places, *np.round(senses * 1e6), *readings.labels.values())
 
 
 class Neighbours:
@@ -33,15 +23,14 @@ class Neighbours:
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
-        approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
-        run, place = groups(readings.repeat, readings.setup, *others), same_place(readings)
+        run, place = groups(readings.repeat, readings.setup, *others), readings.alike(approach=False)
         # What only this run read agrees with itself, and says nothing of how the run differs from others.
         place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
         self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
-        self.repeats = _Ordered(groups(place, *approach))
+        self.repeats = _Ordered(readings.alike())
         # Read again in another setup, such as a circle at another feed.
         sensed = np.round(direction.T * 1e6)
-        self.elsewhere = _Ordered(groups(same_place(readings, any_setup=True), *sensed, *approach))
+        self.elsewhere = _Ordered(groups(readings.alike(setup=False), *sensed))
 
     def course(self, which: IntArray, residual: Array) -> Array:
         """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.

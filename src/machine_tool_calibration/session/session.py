@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, groups, in_order_of_appearance
+from machine_tool_calibration.arrays import (
+    Array,
+    BoolArray,
+    IntArray,
+    first_true,
+    groups,
+    in_order_of_appearance,
+    unsigned,
+)
 from machine_tool_calibration.errors import SessionError
 
 if TYPE_CHECKING:
@@ -51,6 +59,24 @@ class Readings:
     def state(self) -> IntArray:
         """(n,) number shared by readings that are the same in all but the displacement, in what is missing too."""
         return groups(self.setup, self.repeat, *self.columns.values(), *self.labels.values())
+
+    def alike(self, *, setup: bool = True, approach: bool = True, signed: bool = True) -> IntArray:
+        """(n,) number shared by readings that repeat each other: same setup, place, target and direction of approach.
+
+        Deviations of one place along x and along y do not repeat each other.
+
+        Args:
+            setup: whether those of two setups differ.
+            approach: whether those differ that come from two sides.
+            signed: whether those differ that sense opposite directions.
+        """
+        setups = self.setup if setup else np.zeros_like(self.setup)
+        names = (*"xyzabc", *(f"dir_{axis}" for axis in "xyzabc" if approach))
+        keys = [np.round(self.columns[name] * 1e9) for name in names if name in self.columns]
+        senses = np.array([self.columns[name] for name in ("gx", "gy", "gz") if name in self.columns])
+        if len(senses):
+            keys += list(np.round((senses if signed else unsigned(senses.T).T) * 1e6))
+        return groups(setups, *keys, *self.labels.values())
 
     def column(self, name: str) -> Array:
         """The column of that name; a SessionError if the session does not have it."""
