@@ -102,7 +102,7 @@ def command(
             measured = measure(file, setting, progress)
     parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]
     parts += [result_table(measured), files_table(measured)]
-    if measured.result is not None and measured.session_folder is not None:
+    if measured.session_folder is not None:
         parts.append(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
     tell_either(_document(measured, reaches=wanted is not None), parts, as_json)
 

@@ -63,6 +63,9 @@ def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: S
         few = _few(candidate, candidates)
         for shaped in candidate.shapes:
             past = first + len(shaped.every)
+            if c >= len(candidates) and len(shaped.columns) >= gram.dof:  # so many functions leave nothing of anything
+                first = past
+                continue
             if c >= len(candidates) and _is_an_effect(plain, gram.inner, first, shaped):
                 shaped, first = replace(shaped, columns=shaped.columns[1:]), first + 1
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
