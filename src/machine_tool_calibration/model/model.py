@@ -209,6 +209,10 @@ class MethodModel(ABC):
         """
         return self
 
+    def drawn_as(self, other: Self) -> Self:
+        """The same model with what another one of the same unknowns draws from its readings."""
+        return self
+
     @property
     def random(self) -> RandomUnknowns | None:
         """Unknowns that are small random functions, and what is expected of them; None without any."""

@@ -16,7 +16,7 @@ of which nothing says which is wrong (look-alikes) are all set aside, and named 
 `estimation/priors.py`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,7 +84,7 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     found: list[Outlier] = []
     for _ in range(ROUNDS):
         try:
-            more = _Search(build(without(session, found, as_lost=True))).outliers()
+            more = _in_sound_model(without(session, found, as_lost=True), build)
         except (ModelError, np.linalg.LinAlgError):
             # Too little for the model, which its own fit will say; or what was set aside leaves too little.
             return []
@@ -95,6 +95,22 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
         return []
     return sorted(found, key=lambda o: -abs(o.studentized))
+
+
+def _in_sound_model(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
+    """Readings with gross errors, where random unknowns are not larger for them.
+
+    Large ones explain a gross error as well as a machine does that is not straight, and make it one of the map. They are
+    drawn from the readings that do not stand out where these unknowns are zero; those that do are judged beside them.
+    """
+    model = build(session)
+    if model.random is None:
+        return _Search(model).outliers()
+    doubtful = _Search(model.without(frozenset(model.random.names))).outliers()
+    if not doubtful:
+        return _Search(model).outliers()
+    sound = build(without(session, doubtful, as_lost=True))
+    return _Search(model.drawn_as(sound)).outliers({one.row for one in doubtful})
 
 
 def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = False) -> Session:
@@ -170,11 +186,11 @@ class _Search:
         self.start = theta, local[0]
         self.pattern, self.explained = False, np.zeros(self.n, dtype=bool)
 
-    def outliers(self) -> list[Outlier]:
-        """Readings with gross errors, and their look-alikes."""
-        if self._only_noise():
+    def outliers(self, doubtful: Collection[int] = ()) -> list[Outlier]:
+        """Readings with gross errors, and their look-alikes; rows that are `doubtful` are judged in any case."""
+        if not doubtful and self._only_noise():
             return []
-        asked = self._suspects()
+        asked = np.union1d(self._suspects(), np.flatnonzero(np.isin(self.readings.row, list(doubtful))))
         for _ in range(ROUNDS):
             held = self._judged(asked, self._fit(asked))
             fit = self._fit(held)

@@ -100,6 +100,12 @@ class StepDiagonalModel(MethodModel):
         spread = replace(self.spread, posterior=posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
+    def drawn_as(self, other: Self) -> Self:
+        """With the size of the angular errors of a model of other readings."""
+        if self.spread is None or other.spread is None or self.spread.names != other.spread.names:
+            return self
+        return replace(self, spread=replace(self.spread, posterior=other.spread.posterior), priors=other.priors)
+
     def expecting(self, size: float) -> Self:
         """The model with angular errors of that root mean square, rad, whatever the readings say of them."""
         if self.spread is None:
