@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker
 
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import ErrorMap, Result
-from machine_tool_calibration.nodes.publications import AXIS_FIELDS, MOST_ARROWS, arrows, axis_cloud
+from machine_tool_calibration.nodes.calculation import AXIS_FIELDS, MOST_ARROWS, arrows, axis_cloud
 from machine_tool_calibration.nodes.ros.messages import columns
 from machine_tool_calibration.recording.open import open_measurement
 

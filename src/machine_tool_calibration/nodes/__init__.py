@@ -3,5 +3,3 @@
 
 Names in the graph are relative, so a namespace or a remapping moves all of them; msg_docs/ describes every topic.
 """
-
-__all__: list[str] = []

@@ -15,18 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.commanded import executed_message
-from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
-    STATE,
-    Level,
-    StatusTopic,
-    from_message,
-    joint_state,
-    nanoseconds,
-    now,
-    seconds,
-    to_message,
-)
+from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_of
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
@@ -52,10 +41,11 @@ class AxisSimulator(ManagedNode):
         self._names = sorted(travel, key="xyzabc".index)
         home = {name: min(max(0.0, low), high) for name, (low, high) in travel.items()}
         self._motion = Trajectory.through(home, [], self.limits)
-        self._start = self._simulated_now = self._origin if self._jumping else now(self)
+        self._start = self._simulated_now = self._origin if self._jumping else messages.now(self)
         self._directions = dict.fromkeys(travel, 1)
         self._command = self._carried_out = self._waypoints = 0
-        self._report: tuple[Level, str, dict[str, object]] = (Level.OK, "waiting for a command", {"state": "idle"})
+        self._report: tuple[messages.Level, str, dict[str, object]]
+        self._report = messages.Level.OK, "waiting for a command", {"state": "idle"}
         self._pending_arrival = False
         self._offset = self._point = np.zeros(3)
         self._rotation = Quaternion()
@@ -65,19 +55,19 @@ class AxisSimulator(ManagedNode):
         self._moment = self.site.moment(0.0, home)
         self._random = np.random.default_rng([self.site.spec.seed, 23])
 
-        self._states = self.create_publisher(JointState, "joint_states", STATE)
-        self._status = StatusTopic(
+        self._states = self.create_publisher(JointState, "joint_states", messages.STATE)
+        self._status = messages.StatusTopic(
             self,
             "axes",
-            publisher=self.create_publisher(DiagnosticArray, "axes/status", STATE),
+            publisher=self.create_publisher(DiagnosticArray, "axes/status", messages.STATE),
             hardware_id=f"simulated machine {self.site.chain}",
             clock=self._now,
         )
-        self._executed = self.create_publisher(JointTrajectory, "axes/executed", STATE)
-        self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
-        self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
+        self._executed = self.create_publisher(JointTrajectory, "axes/executed", messages.STATE)
+        self._truth = self.create_publisher(PoseStamped, "truth/functional_point", messages.STATE)
+        self._table = self.create_publisher(PoseStamped, "truth/table", messages.STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
-        self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, COMMAND)
+        self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, messages.COMMAND)
         self.every(_HEARTBEAT, self._heartbeat)
         if not self._jumping:
             self.every(1.0 / self._rate, self._tick)
@@ -93,35 +83,33 @@ class AxisSimulator(ManagedNode):
         self._rotary_limits = AxisLimits(*self.values("rotary_speed", "rotary_acceleration"))
 
     def _now(self) -> int:
-        return self._simulated_now if self._jumping else now(self)
+        return self._simulated_now if self._jumping else messages.now(self)
 
     def _commanded(self, message: JointTrajectory) -> None:
-        stamp = from_message(message.header.stamp)
+        stamp = messages.from_message(message.header.stamp)
         if stamp and stamp == self._command:  # sent again, because the answer was lost or late
             self._send_report()
             self._send_executed()
             return
         self._command = stamp
+        times = [messages.seconds(messages.from_message(point.time_from_start)) for point in message.points]
+        way = [(list(point.positions), time) for point, time in zip(message.points, times, strict=True)]
         try:
-            points = check_command(
-                message.joint_names,
-                [(list(point.positions), seconds(from_message(point.time_from_start))) for point in message.points],
-                self.site.travel,
-            )
+            points = check_command(message.joint_names, way, self.site.travel)
         except CalibrationError as error:
-            self._set_report(Level.ERROR, f"refused: {error}", state="refused")
+            self._set_report(messages.Level.ERROR, f"refused: {error}", state="refused")
             return
         present = self._now()
         begin = max(present, stamp)
-        since = seconds(begin - self._start)
+        since = messages.seconds(begin - self._start)
         directions = self._motion.directions(since, self._directions)
         is_moving = any(self._motion.velocity(since).values())
         braking = self._motion.braked(since, self.limits) if is_moving else None
         motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
-        ends = seconds(begin - present) + motion.end
+        ends = messages.seconds(begin - present) + motion.end
         if ends > _FARTHEST:
             words = f"refused: it would end {ends / _DAY:.0f} days from now; does another node publish /clock?"
-            self._set_report(Level.ERROR, words, state="refused")
+            self._set_report(messages.Level.ERROR, words, state="refused")
             return
         self._motion, self._waypoints, self._carried_out = motion, len(points), stamp or begin
         # who measures the table commands it; all others need not hear of it at every target, only now and then
@@ -133,25 +121,25 @@ class AxisSimulator(ManagedNode):
             self._jump()
         else:
             self._pending_arrival = True
-            self._set_report(Level.OK, "moving", state="moving")
+            self._set_report(messages.Level.OK, "moving", state="moving")
             self._send_executed()
             self._tick()
 
     def _jump(self) -> None:
-        arrival = self._start + nanoseconds(self._motion.arrival)
-        held = self._start + nanoseconds(self._motion.end)
+        arrival = self._start + messages.nanoseconds(self._motion.arrival)
+        held = self._start + messages.nanoseconds(self._motion.end)
         self._simulated_now = held
         self._publish_clock()  # first: what others do on hearing of the arrival belongs to this time
         stamps = sorted({arrival, held})
         for stamp in stamps:
             self._publish_truth(stamp)
-        self._set_report(Level.OK, "arrived", state="arrived")
+        self._set_report(messages.Level.OK, "arrived", state="arrived")
         self._send_executed()
         for stamp in stamps:
             self._publish_state(stamp)
 
     def _tick(self) -> None:
-        stamp, arrival = now(self), self._start + nanoseconds(self._motion.arrival)
+        stamp, arrival = messages.now(self), self._start + messages.nanoseconds(self._motion.arrival)
         arrives = self._pending_arrival and stamp >= arrival
         if arrives:
             # Between two poses the way is taken for straight: the end of the motion must be one of them, however
@@ -161,7 +149,7 @@ class AxisSimulator(ManagedNode):
         self._publish_state(stamp)
         if arrives:
             self._pending_arrival = False
-            self._set_report(Level.OK, "arrived", state="arrived")
+            self._set_report(messages.Level.OK, "arrived", state="arrived")
             self._send_executed()
 
     def _heartbeat(self) -> None:
@@ -176,16 +164,16 @@ class AxisSimulator(ManagedNode):
 
     def _publish_clock(self) -> None:
         if self._ticks is not None:
-            self._ticks.publish(ClockMessage(clock=to_message(self._simulated_now)))
+            self._ticks.publish(ClockMessage(clock=messages.to_message(self._simulated_now)))
 
     def _publish_truth(self, stamp: int) -> None:
-        since = seconds(stamp - self._start)
+        since = messages.seconds(stamp - self._start)
         place, directions = self._motion.position(since), self._motion.directions(since, self._directions)
         # without effects the errors depend on the position alone
         known = (place, directions, stamp if self.site.flaws else 0)
         if known != self._known:
             self._known, self._turned = known, None
-            self._moment = self.site.moment(seconds(stamp - self._origin), place, directions)
+            self._moment = self.site.moment(messages.seconds(stamp - self._origin), place, directions)
             self._point = self.site.functional_point(self._moment)[0]
             self._rotation = quaternion_of(self.site.tool_rotation(self._moment)[0])
         self._truth.publish(pose_message(stamp, self._point + self._offset, self._rotation))
@@ -201,12 +189,12 @@ class AxisSimulator(ManagedNode):
         self._table.publish(pose_message(stamp, *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
-        since = seconds(stamp - self._start)
+        since = messages.seconds(stamp - self._start)
         position = self._motion.position(since)
         here = {name: position[name] for name in self._names}
-        self._states.publish(joint_state(stamp, here, self._motion.velocity(since)))
+        self._states.publish(messages.joint_state(stamp, here, self._motion.velocity(since)))
 
-    def _set_report(self, level: Level, text: str, **entries: object) -> None:
+    def _set_report(self, level: messages.Level, text: str, **entries: object) -> None:
         self._report = (level, text, entries)
         self._send_report()
 
@@ -223,11 +211,11 @@ class AxisSimulator(ManagedNode):
         moves = self._motion.moves[-self._waypoints :] if self._waypoints else self._motion.moves[-1:]
         until = self._now()
         if self._pending_arrival:  # told with the true pose there, at the next tick
-            until = min(until, self._start + nanoseconds(self._motion.arrival) - 1)
+            until = min(until, self._start + messages.nanoseconds(self._motion.arrival) - 1)
         begin, first = moves[0]
-        points = [(self._start + nanoseconds(begin), first.start)]
+        points = [(self._start + messages.nanoseconds(begin), first.start)]
         for begin, part in moves[: self._waypoints]:
-            reached = self._start + nanoseconds(begin + part.duration)
+            reached = self._start + messages.nanoseconds(begin + part.duration)
             if reached <= until:
                 points.append((reached, part.end))
         self._executed.publish(executed_message(self._carried_out, points))

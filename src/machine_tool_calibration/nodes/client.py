@@ -29,16 +29,7 @@ from std_srvs.srv import Trigger
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.maps import FIELDS
 from machine_tool_calibration.nodes.heard import SERVICES, Call, Heard, NodeState, Offer
-from machine_tool_calibration.nodes.ros.messages import (
-    LATCHED,
-    NO_HARDWARE,
-    OUTCOMES,
-    READINGS,
-    SLOW,
-    STATE,
-    columns,
-    from_message,
-)
+from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import default_environment, post
 from machine_tool_calibration.nodes.ros.services import goal_of
@@ -107,17 +98,17 @@ class Client(AbstractContextManager["Client"]):
 
     def _subscribe(self, heard: Heard) -> None:
         subscribe = self.node.create_subscription
-        subscribe(String, "session", lambda message: heard.describe(message.data), LATCHED)
-        subscribe(JointState, "reading", self._read, READINGS)
+        subscribe(String, "session", lambda message: heard.describe(message.data), messages.LATCHED)
+        subscribe(JointState, "reading", self._read, messages.READINGS)
         for node in ("estimator", "instrument"):
-            subscribe(DiagnosticArray, f"{node}/outcome", partial(self._ended, node), OUTCOMES)
-        subscribe(DiagnosticArray, "/diagnostics", self._diagnosed, SLOW)
+            subscribe(DiagnosticArray, f"{node}/outcome", partial(self._ended, node), messages.OUTCOMES)
+        subscribe(DiagnosticArray, "/diagnostics", self._diagnosed, messages.SLOW)
         for topic, latched in _STATUSES.items():
             tell = partial(self._said, topic.rpartition("/")[0])
-            subscribe(DiagnosticArray, topic, tell, LATCHED if latched else STATE)
+            subscribe(DiagnosticArray, topic, tell, messages.LATCHED if latched else messages.STATE)
         for topic in _FIELDS:
-            subscribe(PointCloud2, topic, partial(self._published, topic), LATCHED)
-        subscribe(String, "error_map/result", lambda message: heard.publish(document=message.data), LATCHED)
+            subscribe(PointCloud2, topic, partial(self._published, topic), messages.LATCHED)
+        subscribe(String, "error_map/result", lambda message: heard.publish(document=message.data), messages.LATCHED)
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -237,7 +228,7 @@ class Client(AbstractContextManager["Client"]):
             if name in self._probes:
                 self.node.destroy_subscription(self._probes[name])
             self._probes[name] = self.node.create_subscription(
-                DiagnosticArray, f"{name}/status", lambda _: self._known.add(name), LATCHED
+                DiagnosticArray, f"{name}/status", lambda _: self._known.add(name), messages.LATCHED
             )
         return self._clients[service]
 
@@ -261,7 +252,7 @@ class Client(AbstractContextManager["Client"]):
         if names == self._names:
             names = self._names  # one object for all readings
         self._names = names
-        self.heard.read(from_message(message.header.stamp), Reading(names, message.position))
+        self.heard.read(messages.from_message(message.header.stamp), Reading(names, message.position))
 
     def _diagnosed(self, message: DiagnosticArray) -> None:
         prefix = f"{self._space}/" if self._space else ""
@@ -276,7 +267,7 @@ class Client(AbstractContextManager["Client"]):
             self.heard.say(_state(node, status.name, status))
 
     def _published(self, topic: str, message: PointCloud2) -> None:
-        found = columns(message)
+        found = messages.columns(message)
         if topic == "error_map" and not all(np.isfinite(found[axis]).all() for axis in "xyz"):
             raise CalibrationError("a position is not a number")
         self.heard.publish(**{topic: {name: found[name] for name in _FIELDS[topic]}})
@@ -319,7 +310,7 @@ def _state(node: str, kind: str, status: DiagnosticStatus, *, repeats: bool = Fa
         level=status.level[0],
         message=status.message,
         entries={entry.key: entry.value for entry in status.values},
-        device="" if status.hardware_id == NO_HARDWARE else status.hardware_id,
+        device="" if status.hardware_id == messages.NO_HARDWARE else status.hardware_id,
         at=time.monotonic(),
         repeats=repeats,
     )

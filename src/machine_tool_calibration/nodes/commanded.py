@@ -20,14 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
-    duration_message,
-    from_message,
-    joint_state,
-    positions,
-    trajectory,
-)
+from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.procedure.events import Aim
 
 SETUP = "setup_index"
@@ -38,7 +31,7 @@ INPUT = "input_"
 
 def setup_named(message: JointState, ids: Sequence[str]) -> str:
     """Id of the setup that a message's values belong to; empty where it names none of these."""
-    return _id(positions(message).get(SETUP), ids)
+    return _id(messages.positions(message).get(SETUP), ids)
 
 
 def _id(index: float | None, ids: Sequence[str]) -> str:
@@ -61,20 +54,20 @@ class PointerCommand:
 def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
     """The message of topic `pointer/target`."""
     values = {**dict(zip("xyz", map(float, aim.point), strict=True)), SETUP: float(ids.index(aim.setup))}
-    return joint_state(aim.stamp, values)
+    return messages.joint_state(aim.stamp, values)
 
 
 def hear_targets(node: Node, heard: Callable[[PointerCommand], None]) -> None:
     """Subscribe to commands, the topic `pointer/target`."""
 
     def target(message: JointState) -> None:
-        values = positions(message)
+        values = messages.positions(message)
         if not {"x", "y", "z", SETUP} <= set(values):
             raise CalibrationError(f"it lacks x, y, z or {SETUP}")
         point = np.array([values[axis] for axis in "xyz"])
-        heard(PointerCommand(from_message(message.header.stamp), point, values[SETUP]))
+        heard(PointerCommand(messages.from_message(message.header.stamp), point, values[SETUP]))
 
-    node.create_subscription(JointState, "pointer/target", target, COMMAND)
+    node.create_subscription(JointState, "pointer/target", target, messages.COMMAND)
 
 
 _MOST_UNPAIRED = 100  # of one way; the oldest goes first
@@ -128,11 +121,11 @@ class Executions:
 
     def take(self, message: JointTrajectory) -> Executed:
         """The content of a message of `axes/executed`. A CalibrationError: a point has not a position for each axis."""
-        names, command = list(message.joint_names), from_message(message.header.stamp)
+        names, command = list(message.joint_names), messages.from_message(message.header.stamp)
         if any(len(point.positions) != len(names) for point in message.points):
             raise CalibrationError(f"a point has not one position for each of {len(names)} axes")
         places = tuple(dict(zip(names, map(float, point.positions), strict=True)) for point in message.points)
-        times = [command + from_message(point.time_from_start) for point in message.points]
+        times = [command + messages.from_message(point.time_from_start) for point in message.points]
         if command != self._command:
             start = places[0] if places else {}
             is_elsewhere = any(abs(start.get(name, place) - place) > _SAME_PLACE for name, place in self._place.items())
@@ -144,8 +137,8 @@ class Executions:
 
 def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
     """The message of `axes/executed`: when, ns, and where a command began, and each of its points that was reached."""
-    message = trajectory(command, ((place, 0.0) for _, place in points))
+    message = messages.trajectory(command, ((place, 0.0) for _, place in points))
     # To the nanosecond, which seconds as a number do not keep where a command's identity is no time.
     for point, (time, _) in zip(message.points, points, strict=True):
-        point.time_from_start = duration_message(time - command)
+        point.time_from_start = messages.duration_message(time - command)
     return message

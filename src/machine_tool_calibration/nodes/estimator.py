@@ -18,9 +18,16 @@ from std_msgs.msg import String
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import model_names
-from machine_tool_calibration.nodes.calculation import Outcome, Request, compared, diagnosed, identified, improved
+from machine_tool_calibration.nodes.calculation import (
+    TOPICS,
+    Outcome,
+    Request,
+    compared,
+    diagnosed,
+    identified,
+    improved,
+)
 from machine_tool_calibration.nodes.descriptions import description_of
-from machine_tool_calibration.nodes.publications import TOPICS
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, StatusTopic, from_message, stamp_now
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole measurement: start the graph, run a procedure, record, identify, end, and say where everything is."""
 
+from __future__ import annotations
+
 import json
 import operator
 import shutil
@@ -9,18 +11,25 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from math import ceil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 
-from machine_tool_calibration.budget.enough import Reached, Until
+from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
+from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.files import save
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
-from machine_tool_calibration.nodes.stages import Stages, stage_of
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, StatusTopic
+from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
@@ -32,7 +41,9 @@ _IDENTIFY = 600.0
 _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and may blink
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
+_ANSWER = 60.0
 _ON_THE_WAY = 5.0
+_LONGEST = 40  # readings of a stage: a minute or two
 _COUNTERS = ("resent", "stale", "unstable", "recoveries", "restarts")
 
 Progress = Callable[[str, int, int], None]
@@ -151,7 +162,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 _await_ready(client, list(nodes))
                 listeners.client = client
                 started = time.monotonic()
-                stages = _stages(client, procedure, setting)
+                stages = None if setting.until is None else Stages(client, procedure, setting, setting.until)
                 _run(client, total, progress, stages)
                 measured = time.monotonic() - started
                 captured = client.procedure.number("captured")
@@ -234,16 +245,14 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
 
 
 def _await_ready(client: Client, names: Sequence[str]) -> None:
-    def ready() -> bool:
-        status = client.procedure
-        return status.entries.get("state") == "idle" and not status.entries.get("waiting_for", "?")
-
     def records() -> bool:
         """Whether the recorder hears all it needs, in simulated time the clock too: later it would miss the start."""
         return "recorder" not in names or client.heard.said("recorder").entries.get("state") == "recording"
 
     def all_there() -> bool:
-        return ready() and records() and all(client.has_node(name) for name in names)
+        status = client.procedure.entries
+        is_ready = status.get("state") == "idle" and not status.get("waiting_for", "?")
+        return is_ready and records() and all(client.has_node(name) for name in names)
 
     if not client.wait(all_there, _START):
         missing = [name for name in names if not client.has_node(name)]
@@ -252,12 +261,76 @@ def _await_ready(client: Client, names: Sequence[str]) -> None:
         raise CalibrationError(f"the graph is not complete after {_START:g} s: no sign of {waiting}")
 
 
-def _stages(client: Client, procedure: Procedure, setting: Setting) -> Stages | None:
-    """What decides after each setup, if something is to be reached."""
-    if setting.until is None:
-        return None
-    model, by_hand = setting.model or None, not setting.simulated_time
-    return Stages(client, procedure, setting.until, model=model, effects=setting.effects, by_hand=by_hand)
+def stage_of(procedure: Procedure) -> int:
+    """How many readings a stage has."""
+    session = procedure.session
+    repeat = len(plan(procedure).steps) / (len(session.setups) * session.repeats)
+    return ceil(repeat / ceil(repeat / _LONGEST))
+
+
+class Stages:
+    """Decides between stages whether the measurement goes on, and says so on `until/status`.
+
+    A stage is a repeat of a setup, or a part of one that is long. The client is beside the graph, which runs the
+    procedure and pauses before every stage; `until` is what is to be reached.
+    """
+
+    def __init__(self, client: Client, procedure: Procedure, setting: Setting, until: Until) -> None:
+        self._client, self._until = client, until
+        self._model, self._effects, self._own = setting.model or None, setting.effects, tuple(own_effects(()))
+        # a person takes the instrument to its setups, if it has to be taken there
+        is_mounted = bool(method_spec(procedure.session.method).mounted(procedure.session))
+        self._by_hand = is_mounted and not setting.simulated_time
+        self._wanted = 1
+        if until.u is not None:  # all that the whole procedure determines
+            self._wanted = determined(FitRequest((planned_session(procedure).session,), None, self._model))
+        self.reached: list[Reached] = []  # after each stage so far
+        publisher = client.node.create_publisher(DiagnosticArray, "until/status", LATCHED)
+        self._status = StatusTopic(client.node, "until", publisher=publisher)
+
+    def next(self, progress: Progress) -> None:
+        """Ask for the next stage, or for the end, of a procedure that waits for it.
+
+        Where a person has to bring the instrument to another setup, it is the person who resumes.
+        """
+        found, client = self.last(progress), self._client
+        by_hand = self._by_hand and client.procedure.entries["setup"] != found.setup
+        if found.enough:
+            client.call("procedure/finish", _ANSWER)
+        elif not by_hand:
+            client.call("procedure/resume", _ANSWER)
+        else:
+            progress(client.procedure.message, found.readings, client.procedure.number("total"))
+
+        def goes_on() -> bool:  # it may have come to the next stage meanwhile
+            return client.procedure.entries["state"] != "paused" or client.procedure.number("captured") > found.readings
+
+        if not client.wait(goes_on, float("inf") if by_hand else _ANSWER):
+            raise CalibrationError("the procedure does not go on")
+
+    def last(self, progress: Progress) -> Reached:
+        """What is known after the readings so far."""
+        captured, total = (self._client.procedure.number(name) for name in ("captured", "total"))
+        if not self._client.wait(lambda: self._client.heard.count[1] >= captured, _ANSWER):
+            raise CalibrationError(f"only {self._client.heard.count[1]} of {captured} readings were received")
+        if self.reached and self.reached[-1].readings == captured:
+            return self.reached[-1]
+        progress("is it enough?", captured, total)
+        text, readings = self._client.heard.session()
+        chosen = FitRequest((live_session(text, readings, check=False),), None, self._model, self._effects, self._own)
+        found = reached(chosen, self._until, self._wanted)
+        self.reached.append(found)
+        entries: dict[str, object] = {
+            "setup": found.setup,
+            "readings": found.readings,
+            "U": f"{found.u:.4g}" if np.isfinite(found.u) else "",
+            "wanted_U": "" if self._until.u is None else f"{self._until.u:.4g}",
+            "enough": found.enough,
+            **{f"probability.{name}": f"{p:.3f}" for name, p in found.probabilities.items()},
+        }
+        words = "enough" if found.enough else "not yet enough"
+        self._status.show(Level.OK, f"{words} after setup {found.setup}", entries)
+        return found
 
 
 def _run(client: Client, total: int, progress: Progress, stages: Stages | None = None) -> None:

@@ -24,22 +24,7 @@ from machine_tool_calibration.instruments.touch import SEARCH, NominalTouch, Par
 from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
-from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
-    LATCHED,
-    STATE,
-    Level,
-    StatusTopic,
-    from_message,
-    joint_state,
-    nanoseconds,
-    now,
-    positions,
-    seconds,
-    stamp_among,
-    trajectory,
-    values,
-)
+from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.session.description import Probing
@@ -90,15 +75,15 @@ class Probe(ManagedNode):
         self._random = np.random.default_rng([self._site.spec.seed, 43])
 
         # it stands in the instrument's place, whatever its own name is
-        told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
-        self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
-        self._triggers = self.create_publisher(JointState, "~/trigger", STATE)
-        self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
+        told = self.create_publisher(DiagnosticArray, "instrument/status", messages.LATCHED)
+        self._status = messages.StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
+        self._triggers = self.create_publisher(JointState, "~/trigger", messages.STATE)
+        self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", messages.COMMAND)
         self._environment = EnvironmentTopics(self, self._sensed)
-        self.create_subscription(String, "session", self._described, LATCHED)
-        self.create_subscription(JointState, "joint_states", self._moved, STATE)
-        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
-        self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
+        self.create_subscription(String, "session", self._described, messages.LATCHED)
+        self.create_subscription(JointState, "joint_states", self._moved, messages.STATE)
+        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, messages.STATE)
+        self.create_subscription(JointTrajectory, "axes/executed", self._executed, messages.STATE)
         self._outcomes = Outcomes(self, "instrument/outcome")
         offer_later(self, "instrument/datum", self._no_datum)
         offer_later(self, "instrument/capture", self._requested)
@@ -123,8 +108,8 @@ class Probe(ManagedNode):
         self._show()
 
     def _moved(self, message: JointState) -> None:
-        self._axes = positions(message)
-        stamp = self._axes_stamp = from_message(message.header.stamp)
+        self._axes = messages.positions(message)
+        stamp = self._axes_stamp = messages.from_message(message.header.stamp)
         if self._answers:
             self._try_to_begin()
         if self._simulated_time:
@@ -133,8 +118,8 @@ class Probe(ManagedNode):
         self._show()
 
     def _axes_status(self, message: DiagnosticArray) -> None:
-        entries, cycle = values(message), self._cycle
-        if entries.get("state") == "refused" and cycle and stamp_among(entries, "command") == _stamp(cycle):
+        entries, cycle = messages.values(message), self._cycle
+        if entries.get("state") == "refused" and cycle and messages.stamp_among(entries, "command") == _stamp(cycle):
             self._cycle = None
             self._refuse(f"axes: {message.status[0].message}")
 
@@ -157,13 +142,13 @@ class Probe(ManagedNode):
     # --- a touch
 
     def _no_datum(self, answer: Reply) -> None:
-        stamp = now(self)
+        stamp = messages.now(self)
         text = "readings of a probe are absolute: there is no datum to be set"
         self._outcomes.answer([answer], "datum", stamp, text, {"datum": "", "start": stamp, "end": stamp})
 
     def _requested(self, answer: Reply) -> None:
         if not self._moves:
-            self._outcomes.answer([answer], "capture", now(self), "services_move_axes is false", {}, "other")
+            self._outcomes.answer([answer], "capture", messages.now(self), "services_move_axes is false", {}, "other")
             return
         # Asked again while a touch is under way: its answer is for all who ask.
         self._answers.append(answer)
@@ -178,7 +163,7 @@ class Probe(ManagedNode):
         elif self._axes is None:
             self._refuse("the axes have not said where they are")
         elif self._axes_stamp >= self._held:
-            self._begin(1, max(now(self), self._floor), dict(self._axes))
+            self._begin(1, max(messages.now(self), self._floor), dict(self._axes))
 
     def _begin(self, attempt: int, begin: int, position: dict[str, float]) -> None:
         """Set off from a position in front of a point."""
@@ -191,17 +176,17 @@ class Probe(ManagedNode):
             return
         c, z = position.get("c", 0.0), position.get("z", 0.0)
         setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
-        time = seconds(begin - self._origin)
+        time = messages.seconds(begin - self._origin)
         displacement = surface.trigger(touch, c, z, time, setup) + surface.noise * self._random.normal()
         problem = judge(displacement, touch.standoff)
         goes_to = max(displacement, -SEARCH)
         is_clear = displacement < touch.standoff  # else in contact before it moved
         turn = goes_to - self._speed * _REACTION if is_clear else touch.standoff
         travel = (touch.standoff - turn) / self._speed
-        moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
+        moment = begin + messages.nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
         command = self._floor = max(begin, self._floor + 1) | 1  # odd, as a procedure's are even
         deepest = {**position, **touch.at(turn)}
-        way = trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
+        way = messages.trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
         sent = monotonic()
         self._cycle = _Cycle(touch, position, way, self._epoch, sent, displacement, problem, attempt, begin, moment)
         self._commands.publish(way)
@@ -227,7 +212,7 @@ class Probe(ManagedNode):
             self._touches += 1
             self._last = ""
             latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
-            self._triggers.publish(joint_state(cycle.moment, latched))
+            self._triggers.publish(messages.joint_state(cycle.moment, latched))
         self._show()
         found = {
             "datum": "",
@@ -246,7 +231,7 @@ class Probe(ManagedNode):
         self._send(cycle.moment, text, found)
 
     def _refuse(self, reason: str) -> None:
-        self._send(now(self), reason, {}, "other")
+        self._send(messages.now(self), reason, {}, "other")
 
     def _send(self, stamp: int, text: str, found: Mapping[str, object], kind: str = "") -> None:
         answers, self._answers = self._answers, []
@@ -262,10 +247,10 @@ class Probe(ManagedNode):
             cycle.sent = present
             self._commands.publish(cycle.command)
         if not self._simulated_time:
-            self._environment.tell(now(self))
+            self._environment.tell(messages.now(self))
 
     def _sensed(self, stamp: int) -> dict[str, float]:
-        return self._site.sensed(seconds(stamp - self._origin))
+        return self._site.sensed(messages.seconds(stamp - self._origin))
 
     def _show(self) -> None:
         problem = ""
@@ -275,10 +260,10 @@ class Probe(ManagedNode):
             problem = "waiting for the axes"
         counters = {"touches": self._touches, "missed": self._missed, "early": self._early}
         text = problem or self._last or "ready"
-        level = Level.WARN if problem or self._last else Level.OK
+        level = messages.Level.WARN if problem or self._last else messages.Level.OK
         state = "no signal" if problem else "measuring"
         self._status.show(level, text, {"state": state, "datum": "", **counters})
 
 
 def _stamp(cycle: _Cycle) -> int:
-    return from_message(cycle.command.header.stamp)
+    return messages.from_message(cycle.command.header.stamp)

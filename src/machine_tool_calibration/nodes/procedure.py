@@ -25,24 +25,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.commanded import INPUT, Executions, Pairs, setup_named, target_message
 from machine_tool_calibration.nodes.descriptions import require_readable
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
-from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
-    LATCHED,
-    OUTCOMES,
-    READINGS,
-    STATE,
-    Level,
-    StatusTopic,
-    dated,
-    from_message,
-    joint_state,
-    now,
-    point,
-    positions,
-    stamp_among,
-    trajectory,
-    values,
-)
+from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import goal_of, offer
 from machine_tool_calibration.procedure import events, plan, read_procedure
@@ -61,19 +44,19 @@ def event_of(
 
     `sensed` gives the environment by column at a time, ns.
     """
-    status, found = outcome.status[0], values(outcome)
+    status, found = outcome.status[0], messages.values(outcome)
     try:
         if status.level[0]:
             return events.CaptureFailed(token, found.get("kind", "other"), status.message)
-        datum, start = found["datum"], stamp_among(found, "start")
-        inputs = {key.removeprefix(INPUT): stamp_among(found, key) for key in found if key.startswith(INPUT)}
+        datum, start = found["datum"], messages.stamp_among(found, "start")
+        inputs = {key.removeprefix(INPUT): messages.stamp_among(found, key) for key in found if key.startswith(INPUT)}
         if status.name == "datum":
             return events.DatumSet(token, datum, start, inputs)
         columns = {key: float(text) for key, text in found.items() if key not in (*_OWN, *map(INPUT.__add__, inputs))}
         displacement = float(found["displacement"])
         if any(map(math.isinf, (displacement, *columns.values()))):
             raise ValueError("a number without end")
-        stamp, end = from_message(outcome.header.stamp), stamp_among(found, "end")
+        stamp, end = messages.from_message(outcome.header.stamp), messages.stamp_among(found, "end")
         return events.Captured(token, stamp, start, end, displacement, datum, {**sensed(stamp), **columns}, inputs)
     except (ValueError, KeyError, CalibrationError) as error:
         reason = f"not an outcome of an instrument: {status.message[:80]!r} ({type(error).__name__}: {error})"
@@ -84,7 +67,7 @@ _TIMING = ("resend", "answer", "patience", "pointing_tolerance", "revisits", "wa
 """Parameters that are fields of `Timing`."""
 _TICK = 0.1  # s of the wall clock
 _LONGEST = 200  # characters of a reason
-_LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
+_LEVELS = {State.ERROR: messages.Level.ERROR, State.ABORTED: messages.Level.WARN, State.PAUSED: messages.Level.WARN}
 
 
 class ProcedureNode(ManagedNode):
@@ -118,22 +101,22 @@ class ProcedureNode(ManagedNode):
         self._seen: set[str] = set()
         self._answers = Pairs()
 
-        self._session = self.create_publisher(String, "session", LATCHED)
-        self._readings = self.create_publisher(JointState, "reading", READINGS)
-        self._status = StatusTopic(self, "procedure")
+        self._session = self.create_publisher(String, "session", messages.LATCHED)
+        self._readings = self.create_publisher(JointState, "reading", messages.READINGS)
+        self._status = messages.StatusTopic(self, "procedure")
         # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
         # its first answers.
         self._datum = self.create_client(Trigger, "instrument/datum")
         self._capture = self.create_client(Trigger, "instrument/capture")
-        self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        self._pointer = self.create_publisher(JointState, "pointer/target", COMMAND)
-        self._point = self.create_publisher(PointStamped, "pointer/command", COMMAND)
-        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
-        self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
-        self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
-        self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
-        self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
-        self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, OUTCOMES)
+        self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", messages.COMMAND)
+        self._pointer = self.create_publisher(JointState, "pointer/target", messages.COMMAND)
+        self._point = self.create_publisher(PointStamped, "pointer/command", messages.COMMAND)
+        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, messages.STATE)
+        self.create_subscription(JointTrajectory, "axes/executed", self._executed, messages.STATE)
+        self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, messages.STATE)
+        self.create_subscription(JointState, "pointer/state", self._pointer_state, messages.STATE)
+        self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, messages.LATCHED)
+        self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, messages.OUTCOMES)
         for name, handler in (
             ("start", self._start),
             ("pause", self._pause),
@@ -149,7 +132,7 @@ class ProcedureNode(ManagedNode):
     def deactivate(self) -> None:
         """Nobody will hear of the axes' arrival any more: they stop."""
         if self.sequencer.state is State.RUNNING:
-            self._carry_out(self.sequencer.abort(now(self)))
+            self._carry_out(self.sequencer.abort(messages.now(self)))
 
     # --- requests of people
 
@@ -157,19 +140,19 @@ class ProcedureNode(ManagedNode):
         self._require_moves()
         if self.sequencer.state in (State.RUNNING, State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}; abort it first")
-        self._starts_with_clock = not now(self)
+        self._starts_with_clock = not messages.now(self)
         if self._starts_with_clock:  # times would count from 1970
             return "it starts with the first /clock"
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
-            self._readings = self.create_publisher(JointState, "reading", READINGS)
+            self._readings = self.create_publisher(JointState, "reading", messages.READINGS)
             self._session.publish(String(data=self._text))
         if self._arrival_source == "executed" and self._joints is not None:
             # where the axes stand before the first move is all that is needed of it
             self.destroy_subscription(self._joints)
             self._joints = None
         here, self._here = self._here, None
-        self._carry_out(self.sequencer.start(now(self), time.monotonic(), here))
+        self._carry_out(self.sequencer.start(messages.now(self), time.monotonic(), here))
         return f"measuring {len(self.sequencer.plan.steps)} readings"
 
     def _pause(self) -> str:
@@ -182,7 +165,7 @@ class ProcedureNode(ManagedNode):
         self._require_moves()
         if self.sequencer.state not in (State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}, neither paused nor in error")
-        self._carry_out(self.sequencer.resume(now(self), time.monotonic()))
+        self._carry_out(self.sequencer.resume(messages.now(self), time.monotonic()))
         return f"resumed at reading {self.sequencer.done}"
 
     def _finish(self) -> str:
@@ -197,7 +180,7 @@ class ProcedureNode(ManagedNode):
             return "it does not start"
         if self.sequencer.state not in (State.RUNNING, State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}; there is nothing to abort")
-        self._carry_out(self.sequencer.abort(now(self)))
+        self._carry_out(self.sequencer.abort(messages.now(self)))
         return f"aborted after {self.sequencer.done} readings"
 
     def _require_moves(self) -> None:
@@ -208,9 +191,9 @@ class ProcedureNode(ManagedNode):
 
     def _axes_status(self, message: DiagnosticArray) -> None:
         """Why the axes refuse a command; what becomes of one that they carry out is told by `axes/executed`."""
-        entries = values(message)
+        entries = messages.values(message)
         if entries.get("state") == "refused":
-            self._hear(events.Refused(stamp_among(entries, "command"), message.status[0].message))
+            self._hear(events.Refused(messages.stamp_among(entries, "command"), message.status[0].message))
 
     def _executed(self, message: JointTrajectory) -> None:
         executed, motion = self._executions.take(message), self._motion
@@ -219,19 +202,19 @@ class ProcedureNode(ManagedNode):
             return
         # one of an earlier command comes late
         if executed.command > motion.stamp or not executed.places:
-            self._hear(events.MovedAway(executed.began or now(self), executed.epoch))
+            self._hear(events.MovedAway(executed.began or messages.now(self), executed.epoch))
         elif executed.command == motion.stamp:
             arrived = executed.arrival([target.position for target in motion.points])
             if arrived is not None:
                 self._hear(events.Arrived(motion.stamp, arrived, executed.reached[-1], executed.epoch))
 
     def _joint_states(self, message: JointState) -> None:
-        self._here = positions(message)
+        self._here = messages.positions(message)
         motion = self._motion
         if self._arrival_source != "joint_states" or motion is None:
             return
         self._seen.add("axes")
-        stamp = from_message(message.header.stamp)
+        stamp = messages.from_message(message.header.stamp)
         goal = motion.points[-1].position
         off = max(abs(self._here.get(name, float("inf")) - place) for name, place in goal.items())
         is_still = not any(abs(rate) > self._position_tolerance for rate in message.velocity)
@@ -243,16 +226,16 @@ class ProcedureNode(ManagedNode):
             self._hear(events.MovedAway(stamp))
 
     def _pointer_state(self, message: JointState) -> None:
-        angles = positions(message)
+        angles = messages.positions(message)
         if "azimuth" not in angles:
             raise CalibrationError("it has no azimuth")
         self._seen.add("pointer")
-        stamp = from_message(message.header.stamp)
+        stamp = messages.from_message(message.header.stamp)
         setup = setup_named(message, self._setups)
         self._hear(events.Aimed(setup, angles["azimuth"], angles.get("elevation", 0.0), stamp))
 
     def _instrument_status(self, message: DiagnosticArray) -> None:
-        if values(message).get("state") == "no signal":
+        if messages.values(message).get("state") == "no signal":
             self._seen.discard("instrument")
         else:
             self._seen.add("instrument")
@@ -275,12 +258,12 @@ class ProcedureNode(ManagedNode):
             self._hear(event_of(*pair, self._environment.at))
 
     def _hear(self, event: events.Event) -> None:
-        self._carry_out(self.sequencer.handle(event, now(self), time.monotonic()))
+        self._carry_out(self.sequencer.handle(event, messages.now(self), time.monotonic()))
 
     def _tick(self) -> None:
-        if self._starts_with_clock and now(self):
+        if self._starts_with_clock and messages.now(self):
             self._start()
-        self._carry_out(self.sequencer.tick(now(self), time.monotonic()))
+        self._carry_out(self.sequencer.tick(messages.now(self), time.monotonic()))
         self._show()
 
     # --- what is to be done
@@ -294,18 +277,18 @@ class ProcedureNode(ManagedNode):
             match action:
                 case events.Motion():
                     self._motion = action
-                    self._axes.publish(trajectory(action.stamp, action.points))
+                    self._axes.publish(messages.trajectory(action.stamp, action.points))
                 case events.Stop():
-                    self._axes.publish(trajectory(action.stamp, ()))
+                    self._axes.publish(messages.trajectory(action.stamp, ()))
                 case events.Aim():
                     self._pointer.publish(target_message(action, self._setups))
-                    self._point.publish(dated(PointStamped(point=point(action.point)), action.stamp))
+                    self._point.publish(messages.dated(PointStamped(point=messages.point(action.point)), action.stamp))
                 case events.SetDatum():
                     self._call(self._datum, action.token)
                 case events.Capture():
                     self._call(self._capture, action.token)
                 case events.Emit():
-                    self._readings.publish(joint_state(action.stamp, action.columns))
+                    self._readings.publish(messages.joint_state(action.stamp, action.columns))
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 
@@ -318,7 +301,7 @@ class ProcedureNode(ManagedNode):
         aims = any(step.aim is not None and step.points for step in self.sequencer.plan.steps[:1])
         needed = ("axes", "pointer", "instrument") if aims else ("axes", "instrument")
         missing = [name for name in needed if name not in self._seen]
-        if not now(self):
+        if not messages.now(self):
             missing.append("/clock")
         if "instrument" not in missing and not (self._capture.service_is_ready() and self._datum.service_is_ready()):
             missing.append("instrument")
@@ -344,5 +327,5 @@ class ProcedureNode(ManagedNode):
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
             text = sequencer.reason or f"waiting for {waiting}"
-        level = _LEVELS.get(sequencer.state, Level.WARN if waiting else Level.OK)
+        level = _LEVELS.get(sequencer.state, messages.Level.WARN if waiting else messages.Level.OK)
         self._status.show(level, text, entries)

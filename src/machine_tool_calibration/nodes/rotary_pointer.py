@@ -18,16 +18,7 @@ from std_msgs.msg import String
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.descriptions import description_of
-from machine_tool_calibration.nodes.ros.messages import (
-    LATCHED,
-    STATE,
-    Level,
-    StatusTopic,
-    joint_state,
-    nanoseconds,
-    now,
-    seconds,
-)
+from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
@@ -63,11 +54,11 @@ class RotaryPointer(ManagedNode):
         rest = dict.fromkeys(_ANGLES, 0.0)
         self._motion = Move(rest, rest, 0.0, 0.0)
 
-        self._states = self.create_publisher(JointState, "pointer/state", STATE)
-        own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
-        self._status = StatusTopic(self, "pointer", publisher=own, hardware_id="simulated pointer")
-        self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
-        self.create_subscription(String, "session", self._described, LATCHED)
+        self._states = self.create_publisher(JointState, "pointer/state", messages.STATE)
+        own = self.create_publisher(DiagnosticArray, "pointer/status", messages.LATCHED)
+        self._status = messages.StatusTopic(self, "pointer", publisher=own, hardware_id="simulated pointer")
+        self._truth = self.create_publisher(PoseStamped, "truth/beam", messages.STATE)
+        self.create_subscription(String, "session", self._described, messages.LATCHED)
         hear_targets(self, self._commanded)
         self.every(_HEARTBEAT if self._simulated else 1.0 / self._rate, self._tick)
 
@@ -99,21 +90,21 @@ class RotaryPointer(ManagedNode):
         stamp = target.stamp
         if setup != self._setup:
             self._setup = setup
-            self._setup_starts[setup] = max(stamp, now(self))
+            self._setup_starts[setup] = max(stamp, messages.now(self))
         azimuth, elevation = pointing(target.point[None], stations[setup])
         flat = self._session is not None and self._session.axes == "xy"
-        begin = stamp if self._simulated else max(stamp, now(self))
-        here = self._motion.position(seconds(begin - self._start))
+        begin = stamp if self._simulated else max(stamp, messages.now(self))
+        here = self._motion.position(messages.seconds(begin - self._start))
         goal = {"azimuth": float(azimuth[0]), "elevation": 0.0 if flat else float(elevation[0])}
         turn = math.remainder(goal["azimuth"] - here["azimuth"], math.tau)  # the shorter way round
         self._motion = move(here, {**goal, "azimuth": here["azimuth"] + turn}, self._limits)
         self._start = begin
-        self._arrival = begin + nanoseconds(self._motion.duration)
+        self._arrival = begin + messages.nanoseconds(self._motion.duration)
         self._publish(self._arrival if self._simulated else begin)
 
     def _tick(self) -> None:
         # in simulated time the pointer has stood still since it arrived; before the first command it stands where it is
-        stamp = (self._simulated and self._arrival) or now(self)
+        stamp = (self._simulated and self._arrival) or messages.now(self)
         if stamp:
             self._publish(stamp)
         self._show()
@@ -121,24 +112,24 @@ class RotaryPointer(ManagedNode):
     def _show(self) -> None:
         entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup}
         text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
-        level = Level.OK if self._setup else Level.WARN
+        level = messages.Level.OK if self._setup else messages.Level.WARN
         self._status.show(level, text, entries)
 
     def _publish(self, stamp: int) -> None:
-        since = self._motion.duration if self._simulated else seconds(stamp - self._start)
+        since = self._motion.duration if self._simulated else messages.seconds(stamp - self._start)
         place, rate = self._motion.position(since), self._motion.velocity(since)
         values = {"azimuth": math.remainder(place["azimuth"], math.tau), "elevation": place["elevation"]}
         beam = self._beam(stamp, **values)
         self._truth.publish(pose_message(stamp, beam.origin, quaternion_along(beam.direction)))
         if self._setup:
             values[SETUP], rate = float(list(self._stations()).index(self._setup)), {**rate, SETUP: 0.0}
-        self._states.publish(joint_state(stamp, values, rate))
+        self._states.publish(messages.joint_state(stamp, values, rate))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""
         if self._session is None or not self._setup:
             return self.site.true_beam(self.site.moment(0.0), azimuth, elevation, np.zeros(3))
         index = list(self._stations()).index(self._setup)
-        start = seconds(self._setup_starts[self._setup] - self._origin)
-        moment = self.site.moment(seconds(stamp - self._origin), setup=index, start=start)
+        start = messages.seconds(self._setup_starts[self._setup] - self._origin)
+        moment = self.site.moment(messages.seconds(stamp - self._origin), setup=index, start=start)
         return self.site.true_beam(moment, azimuth, elevation, self.site.station(self._session, index))
