@@ -12,7 +12,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.simulation import DirectPlan, SimulationSpec, TrackingPlan, simulate
-from machine_tool_calibration.simulation.flaws_reading import refractivity
+from machine_tool_calibration.simulation.flaws import refractivity
 
 Make = Callable[..., Contributor]
 

@@ -10,7 +10,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.refractive_index import STANDARD_AIR, index_deviation, refractivity
 from machine_tool_calibration.instruments.touch import Part, judge
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.simulation import flaws_reading as edlen
+from machine_tool_calibration.simulation import flaws as edlen
 
 TEMPERATURE, PRESSURE, HUMIDITY = (
     grid.ravel() for grid in np.meshgrid([16.0, 20.0, 24.0], [9.4e4, 1.013e5, 1.04e5], [0.0, 0.4, 0.7])

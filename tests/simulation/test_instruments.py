@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.simulation.flaws_reading import deviation, refractivity, vapour_pressure
+from machine_tool_calibration.simulation.flaws import deviation, refractivity, vapour_pressure
 from machine_tool_calibration.simulation.sensors import (
     Pointer,
     across,

@@ -23,13 +23,10 @@ A machine of one's own::
 
     machine = build_machine(read_machine("config/machines/five_axis_vertical.yaml"))
     machine.position([[0.1, 0.2, 0.0]])          # (n, 3) where the functional point really is, m
-    machine.position_error([[0.1, 0.2, 0.0]])    # actual minus commanded
-    machine.tool_rotation([[0.1, 0.2, 0.0]])     # (n, 3, 3) orientation error of the tool, as a rotation
-    machine.on_table([0.1, 0.0, 0.02], [0.5])    # where a point of the rotary table really is
 
-One reading at a time, with flaws, time and temperature: `live.py`. Workshop, interferometer and part of the simulated
-nodes: `site.py`, `interferometer.py`, `part.py`, with the geometry of whole sessions. Other plans: `DiagonalPlan`,
-`RotaryPlan`, `ProbingPlan`, `DirectPlan`; `PRESETS` holds those of the papers by name.
+Workshop, interferometer and part of the simulated nodes, one reading at a time, with flaws, time and temperature:
+`site.py` and `interferometer.py`. Other plans: `DiagonalPlan`, `RotaryPlan`, `ProbingPlan`, `DirectPlan`; `PRESETS`
+holds those of the papers by name.
 """
 
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan

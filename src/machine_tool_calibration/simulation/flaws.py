@@ -1,25 +1,167 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every flaw by its id, and those in no catalogue: what a diagnosis must call unexplained."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.simulation.flaw import (
     BEAM,
     LINEAR,
+    STATIONS,
     Chosen,
     Disturbance,
     Flaw,
     Parameters,
+    Sight,
     drawn_phase,
+    drawn_seed,
     reads,
 )
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS, THERMAL_FLAWS
-from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.sensors import beam_direction
+
+HELIUM_NEON = 0.6329908
+"""Vacuum wavelength of the helium-neon laser, micrometres."""
+
+STANDARD = (20.0, 101325.0, 0.5)
+"""Standard air: °C, Pa, relative humidity."""
+
+
+def vapour_pressure(temperature: Array | float, humidity: Array | float) -> Array:
+    """Partial pressure of water vapour, Pa, in air at a temperature in °C and a relative humidity of 0 … 1."""
+    kelvin = np.asarray(temperature, float) + 273.15
+    exponent = 1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin
+    return np.asarray(np.exp(exponent) * humidity)
+
+
+def refractivity(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.0) -> Array:
+    """Refractive index of air minus one, for the helium-neon laser and 450 ppm of carbon dioxide.
+
+    At a temperature, °C, a pressure, Pa, and a relative humidity, 0 (dry) … 1.
+    """
+    t, p = np.asarray(temperature, float), np.asarray(pressure, float)
+    s = HELIUM_NEON**-2
+    dispersion = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
+    dry = dispersion * p / 96095.43 * (1.0 + 1e-8 * (0.601 - 0.00972 * t) * p) / (1.0 + 0.0036610 * t)
+    vapour = vapour_pressure(t, humidity) * 292.75 / (t + 273.15)
+    return np.asarray(dry - vapour * (3.7345 - 0.0401 * s) * 1e-10)
+
+
+def deviation(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.5) -> Array:
+    """Refractive index minus that of standard air (20 °C, 101325 Pa, 50 %)."""
+    return refractivity(temperature, pressure, humidity) - refractivity(*STANDARD)
+
+
+def _air(scene: Scene) -> Array:
+    """Refractive index of the air minus that of standard air (updated Edlén equation)."""
+    return deviation(scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity"))
+
+
+def _by_setup(seed: int, setup: IntArray, draw: Callable[[np.random.Generator], Array]) -> Array:
+    """Random vectors, each setup its own and the same whenever it is asked for."""
+    table = {int(s): draw(np.random.default_rng([int(seed), int(s)])) for s in np.unique(setup)}
+    return np.array([table[int(s)] for s in setup])
+
+
+def _station_drift(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    """Each station's stand settles in its own direction at about `size` per second."""
+
+    def velocity(rng: np.random.Generator) -> Array:
+        way = rng.normal(size=3) * np.array([1.0, 1.0, given["vertical"]])
+        return np.asarray(way / np.linalg.norm(way) * rng.uniform(0.5, 1.5))
+
+    moved = _by_setup(given["seed"], scene.setup, velocity) * scene.since_setup()[:, None]
+    return Disturbance(station=size * moved)
+
+
+def _mirror(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    """The flat mirror is set up further off the beam, in each setup another way."""
+
+    def tilt(rng: np.random.Generator) -> Array:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        return np.array([np.cos(angle), np.sin(angle)])
+
+    return Disturbance(mirror=size * _by_setup(given["seed"], scene.setup, tilt))
+
+
+def _harmonics(angle: Array, given: Parameters) -> Array:
+    """Sum of w cos(k angle + phase) over the orders k."""
+    total = np.zeros(np.shape(angle))
+    for order, weight, phase in zip(given["orders"], given["weights"], given["phases"], strict=True):
+        total = total + weight * np.cos(order * angle + phase)
+    return total
+
+
+def _phases(rng: np.random.Generator, _: Scene | None) -> Parameters:
+    return {"phases": [float(v) for v in rng.uniform(0, 2 * np.pi, 2)]}
+
+
+def _level(sight: Sight) -> Array:
+    """(n, 3) unit vectors of level beams of the same azimuth."""
+    return beam_direction(sight.azimuth, np.zeros_like(sight.azimuth))
+
+
+def _pointer_radial(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
+    """The rotation centre moves in the plane of azimuth as the pointer turns: against the beam, as seen from above."""
+    back = size * _harmonics(sight.azimuth, given)
+    return np.asarray(back * np.einsum("ni,ni->n", _level(sight), sight.direction))
+
+
+def _pointer_axes(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
+    """The elevation axis stands in front of the azimuth axis, and the beam leaves beside it.
+
+    Of the triangle of axis, beam and target a beam that follows reads one leg; the distance is the hypotenuse.
+    """
+    line = sight.path[:, None] * sight.direction - size * _level(sight)
+    square = np.einsum("ni,ni->n", line, line) - given["beam"] ** 2
+    return np.asarray(np.sqrt(square) - sight.path)
+
+
+def _table_growth(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    warm = scene.sensed("temperature_table") - given["reference"]
+    return Disturbance(table_radial=size * warm, table_axial=size * given["axial"] * warm)
+
+
+_AIR = "reading: size * (n - n of standard air)"
+_SETTLES = "each station moves at about size, in its own direction, from its first reading on"
+_TILTED = "mirror normal off the beam by size, each setup its own way"
+_RADIAL = "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)"
+_AXES = "elevation axis in front of the azimuth axis by size, beam beside it by beam (m, where it follows the target)"
+_INCIDENCE = "reading: size * sum of w cos(k incidence + phase)"
+_NORMAL = "reading: size * sum of w cos(k direction of the normal + phase)"
+_OUT = "targets move out by size * (temperature_table - 20) * radius, and up by axial times that of their height"
+_WORK = "workpiece grows by size * (temperature_work - 20) about the table's centre"
+_FIVE, _TWO = {"orders": [5, 3], "weights": [1.0, 0.5]}, {"orders": [2, 3], "weights": [1.0, 0.5]}
+_THREE = {"orders": [2, 3], "weights": [1.0, 0.6]}
+_COLD = {"reference": 20.0}
+
+READING_FLAWS: tuple[Flaw, ...] = (
+    # the wavelength is not compensated, or wrongly: this share of the air's deviation stays
+    Flaw("refractive_index", f"{_AIR} * path", "1", 1.0, lambda size, _, scene: Disturbance(optical=size * _air(scene)),
+         methods=BEAM),
+    Flaw("dead_path", _AIR, "m", 1.0, lambda size, _, scene: Disturbance(dead=size * _air(scene)), methods=BEAM),
+    Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, reads(lambda size, _, scene, sight: size * scene.time)),
+    Flaw("station_drift", _SETTLES, "m/s", 1e-8, _station_drift, {"vertical": 1.0}, drawn_seed, STATIONS),
+    Flaw("mirror_misalignment", _TILTED, "rad", 1e-3, _mirror, draw=drawn_seed, methods=("step_diagonal",)),
+    Flaw("pointer_radial_error", _RADIAL, "m", 2e-6, reads(_pointer_radial), _FIVE, _phases, STATIONS),
+    Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3,
+         lambda size, _, scene: Disturbance(turn=np.full(len(scene), size)), methods=("tracking_interferometer",)),
+    Flaw("pointer_axis_offset", _AXES, "m", 2e-5, reads(_pointer_axes), {"beam": 0.0}, methods=STATIONS),
+    Flaw("retroreflector_form", _INCIDENCE, "m", 1e-6,
+         reads(lambda size, given, _, sight: size * _harmonics(sight.incidence, given)), _TWO, _phases, STATIONS),
+    Flaw("table_thermal_growth", _OUT, "1/K", 1.2e-5, _table_growth, {"axial": 1.0, **_COLD}, methods=("rotary_axis",)),
+    Flaw("workpiece_thermal", _WORK, "1/K", 1.2e-5,
+         lambda size, given, scene: Disturbance(growth=size * (scene.sensed("temperature_work") - given["reference"])),
+         _COLD, methods=("probing", "direct")),
+    # the stylus gives way, by direction, before the probe triggers
+    Flaw("probe_pretravel", _NORMAL, "m", 3e-6,
+         reads(lambda size, given, _, sight: size * _harmonics(sight.azimuth, given)), _THREE, _phases, ("probing",)),
+)  # fmt: skip
 
 
 def _moment(rng: np.random.Generator, scene: Scene | None) -> Parameters:

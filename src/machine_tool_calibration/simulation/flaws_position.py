@@ -8,6 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.simulation import motions
 from machine_tool_calibration.simulation.flaw import (
     CIRCLE,
     LINEAR,
@@ -18,14 +19,6 @@ from machine_tool_calibration.simulation.flaw import (
     Parameters,
     drawn_phase,
     drawn_seed,
-)
-from machine_tool_calibration.simulation.motions import (
-    COMPONENTS,
-    Table,
-    constant,
-    random_periodic,
-    random_smooth,
-    rotate,
 )
 from machine_tool_calibration.simulation.scene import Scene
 
@@ -118,21 +111,21 @@ def _squareness(name: str) -> Flaw:
     return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb, methods=LINEAR)
 
 
-def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> Table:
+def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> motions.Table:
     """The table of an extra error motion: `shape` is random (by `seed`), constant, linear, quadratic or sine."""
     axis, shape = name[-1], parameters["shape"]
     if axis not in "XYZ":
         rng = np.random.default_rng(int(parameters["seed"]))
-        return random_periodic(rng, [size])[0] if shape == "random" else constant(0.0, 2 * np.pi, size)
+        return motions.random_periodic(rng, [size])[0] if shape == "random" else motions.constant(0.0, 2 * np.pi, size)
     low, high = ends.get(axis, (0.0, 1.0))
     if shape == "random":
-        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, [size], knots=5)[0]
+        return motions.random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, [size], knots=5)[0]
     nodes = np.linspace(low, high, 33)
     u = 2.0 * (nodes - low) / (high - low) - 1.0
     shapes = {"constant": np.ones(33), "linear": u, "quadratic": u**2, "sine": np.sin(np.pi * u)}
     if shape not in shapes:
         raise CalibrationError(f"{name}: the shape {shape!r} is none of random, {', '.join(shapes)}")
-    return Table(tuple(nodes), tuple(size * shapes[shape]), "cubic")
+    return motions.Table(tuple(nodes), tuple(size * shapes[shape]), "cubic")
 
 
 def _motion(name: str) -> Flaw:
@@ -146,7 +139,7 @@ def _motion(name: str) -> Flaw:
         if given["about"] != "zero":
             raise CalibrationError(f"{name}: about is {given['about']!r}, neither chain nor zero")
         arm = scene.position * (np.arange(3) != "XYZ".index(axis))
-        turned = rotate(arm, table(scene.along(axis))[:, None] * np.eye(3)["ABC".index(name[1])])
+        turned = motions.rotate(arm, table(scene.along(axis))[:, None] * np.eye(3)["ABC".index(name[1])])
         return Disturbance(point=turned - arm)
 
     yields = angular and not is_table
@@ -179,13 +172,13 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
          lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
-    *(_motion(component + axis) for axis in "XYZC" for component in COMPONENTS),
+    *(_motion(component + axis) for axis in "XYZC" for component in motions.COMPONENTS),
 )  # fmt: skip
 
 
 def _reversal(name: str) -> Flaw:
     """The carriage lies against the other side of its guideway when it comes back: shifted or turned as a body."""
-    axis, component = name[-1], COMPONENTS.index(name[:2])
+    axis, component = name[-1], motions.COMPONENTS.index(name[:2])
 
     def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
         errors = np.zeros((len(scene), 6))
@@ -197,20 +190,14 @@ def _reversal(name: str) -> Flaw:
     return Flaw(f"reversal_{name}", text, unit, typical, disturb, methods=LINEAR)
 
 
+_SPIKES = "-size * dir_{a} * exp(-path since {a} reversed / reach)"
 _WORN = "half the play against dir_{a}, size at the share `where` of the travel, half of it half a travel away"
 REVERSAL_FLAWS: tuple[Flaw, ...] = (
     *_along("lost_motion", _WORN, 2e-6, _lost_motion, {"where": 0.2}),
-    *_along(
-        "reversal_spike",
-        "-size * dir_{a} * exp(-path since {a} reversed / reach)",
-        2e-6,
-        _spike,
-        {"reach": 0.005},
-        methods=CIRCLE,
-    ),
+    *_along("reversal_spike", _SPIKES, 2e-6, _spike, {"reach": 0.005}, methods=CIRCLE),
     *_along("servo_mismatch", "-size * velocity of {a}", 1e-4, _servo_lag, unit="s", methods=CIRCLE),
     *_along("vibration", _SHAKES, 1e-6, _vibration, {"frequency": 0.37}, drawn_phase, methods=CIRCLE),
-    *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
+    *(_reversal(component + axis) for axis in "XYZ" for component in motions.COMPONENTS if component[1] != axis),
 )
 
 _AXES = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
@@ -219,7 +206,7 @@ _AXES = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
 def _turned_way(name: str, angle: Array, scene: Scene) -> Disturbance:
     """An axis whose way is turned by an angle in each reading, (n,) rad: what it has travelled points elsewhere."""
     way = scene.along(name[2])[:, None] * np.eye(3)["XYZ".index(name[2])]
-    return Disturbance(point=rotate(way, angle[:, None] * np.eye(3)["ABC".index(name[0])]) - way)
+    return Disturbance(point=motions.rotate(way, angle[:, None] * np.eye(3)["ABC".index(name[0])]) - way)
 
 
 def _squareness_drift(name: str) -> Flaw:

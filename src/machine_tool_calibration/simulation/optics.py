@@ -78,7 +78,7 @@ class OnTool(Optics):
         return 0.0 if self._follows else float(beam.off(target))
 
 
-class OnTable(Optics):
+class _OnTable(Optics):
     """Retroreflectors on a rotary table, a tracker at a station; the one nearest to the beam is followed."""
 
     body, aims = "table", True
@@ -88,14 +88,12 @@ class OnTable(Optics):
         self._targets = np.array([site.target(target, k) for k, target in enumerate(description.targets)])
 
     def target(self, pose: Pose, beam: Beam, moment: Scene) -> Array:
-        """See `Optics`."""
         grown = self._site.disturbance(moment).grown(self._targets, self._site.table_axis)
         places = grown @ pose.rotation.T + pose.place
         is_ahead = (places - beam.origin) @ beam.direction > 0
         return np.asarray(places[np.argmin(np.where(is_ahead, beam.off(places), np.inf))])
 
     def sight(self, targets: Array, pose: Pose, beam: Beam, moment: Scene) -> Sight:
-        """See `Optics`."""
         axis = self._site.table_axis
         i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
         turned = np.full(len(targets), np.arctan2(pose.rotation[j, i], pose.rotation[i, i]))
@@ -106,7 +104,7 @@ class OnTable(Optics):
         return float(beam.off(target))
 
 
-class FlatMirror(Optics):
+class _FlatMirror(Optics):
     """A flat mirror on the spindle; the laser is aligned on the actual diagonal motion of its setup."""
 
     def __init__(self, site: Site, description: StepDiagonal) -> None:
@@ -133,25 +131,23 @@ class FlatMirror(Optics):
         return Sight(path, np.broadcast_to(direction, targets.shape))
 
 
-class Along(Optics):
+class _Along(Optics):
     """A linear interferometer, aligned with the axis that moves."""
 
     def __init__(self, site: Site, description: Direct) -> None:
         self._direction = np.array(description.sense)
 
     def sight(self, targets: Array, pose: Pose, beam: Beam, moment: Scene) -> Sight:
-        """See `Optics`."""
         return Sight(targets @ self._direction, np.broadcast_to(self._direction, targets.shape))
 
 
-class Bar(Optics):
+class _Bar(Optics):
     """A ball bar between the tool and a cup on the table, which stands a little beside its place."""
 
     def __init__(self, site: Site, description: BallBar) -> None:
         self._centres = [np.array(setup.centre) + site.cup_offset(k) for k, setup in enumerate(description.setups)]
 
     def sight(self, targets: Array, pose: Pose, beam: Beam, moment: Scene) -> Sight:
-        """See `Optics`."""
         arm = targets - self._centres[int(moment.setup[0])]
         length = np.linalg.norm(arm, axis=1)
         return Sight(length, arm / length[:, None])
@@ -163,11 +159,11 @@ def make_optics(site: Site, description: Description) -> Optics:
         case TrackingInterferometer():
             return OnTool(site, description)
         case RotaryAxis():
-            return OnTable(site, description)
+            return _OnTable(site, description)
         case StepDiagonal():
-            return FlatMirror(site, description)
+            return _FlatMirror(site, description)
         case Direct():
-            return Along(site, description)
+            return _Along(site, description)
         case BallBar():
-            return Bar(site, description)
+            return _Bar(site, description)
     raise CalibrationError(f"no interferometer measures a {description.method} session")
