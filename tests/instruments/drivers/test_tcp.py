@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from machine_tool_calibration.instruments.drivers import InstrumentError, Sample
-from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
+from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver, Transport, connect
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings, Connection
-from machine_tool_calibration.instruments.drivers.transport import Transport, connect
 
 LONG = 120.0
 """A wait that ends early unless something is wrong, s."""
