@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.procedure import parse_procedure, plan, read_procedure
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, brake, check_command, move
-from machine_tool_calibration.procedure.workpiece import read_workpiece
+from machine_tool_calibration.procedure.workpiece.description import read_workpiece
 
 CONFIG = Path(__file__).parents[2] / "config"
 

@@ -46,7 +46,7 @@ def command(file: Path, into: str | None, output: Path | None, as_json: bool, **
     mtcal workpiece config/workpieces/cross_pocket.yaml -o points.csv
     mtcal workpiece contour.dxf --spacing 5 --stylus 6 --into probing_pins -o my_part.yaml
     """
-    from machine_tool_calibration.procedure.workpiece import read_workpiece, workpiece_entries
+    from machine_tool_calibration.procedure.workpiece.description import read_workpiece, workpiece_entries
 
     if into is not None and output is None:
         raise click.UsageError("--into needs --output: the procedure itself is not changed.")
@@ -59,7 +59,7 @@ def command(file: Path, into: str | None, output: Path | None, as_json: bool, **
 
 
 def _outline(file: Path, *, is_open: bool, stylus: float | None, **said: Any) -> tuple[WorkpiecePoint, ...]:
-    from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
+    from machine_tool_calibration.procedure.workpiece.description import Workpiece, workpiece_points
     from machine_tool_calibration.session.record import validated
 
     if said["spacing"] is None:

@@ -17,7 +17,7 @@ from machine_tool_calibration.methods.probing.features import Features, features
 from machine_tool_calibration.methods.probing.geometry import Circle, Line, element, through
 from machine_tool_calibration.methods.probing.model import Responses
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
+from machine_tool_calibration.procedure.workpiece.description import Workpiece, workpiece_points
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PartPoint
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.workpiece import read_workpiece, workpiece_entries
+from machine_tool_calibration.procedure.workpiece.description import read_workpiece, workpiece_entries
 from machine_tool_calibration.session.description import WorkpiecePoint
 
 HEAD = "format: mtcal-workpiece/1\nunit: mm\nfeatures:\n"

@@ -35,8 +35,9 @@ from machine_tool_calibration.procedure.workpiece.outline import (
     polygon,
     probe_points,
     reachable,
+    read_csv_outline,
+    read_dxf_outline,
 )
-from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.record import NotNegative, Positive, Record, validated
