@@ -16,17 +16,8 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.budget import published
 from machine_tool_calibration.budget.propagate import Budget, Progress, coverage_factor, draw_readings
-from machine_tool_calibration.budget.published import (
-    DIAGONAL_FIGURES,
-    FIGURES,
-    POSITION_ERROR,
-    Quantity,
-    everything,
-    figure_of,
-    numbers,
-    unit_of,
-)
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
@@ -108,7 +99,7 @@ class _Figure:
 
 def unit_of_figure(name: str) -> str:
     """Unit of a figure by its name: rad for an angular error motion and a squareness, else m."""
-    return "m" if name == VOLUMETRIC else unit_of(name)
+    return "m" if name == VOLUMETRIC else published.unit_of(name)
 
 
 def decide(value: float, tolerance: float, probability: float, rule: str, level: float) -> str:
@@ -172,7 +163,7 @@ class _Conformity:
         if budget is not None:
             self.numbers, self.u, self.dof = budget.numbers, budget.complete, budget.degrees_of_freedom
         else:
-            self.numbers = everything(fitted)
+            self.numbers = published.everything(fitted)
             self.u, self.dof = self.numbers.u, np.full(len(self.numbers.u), np.inf)
 
     @cached_property
@@ -189,23 +180,23 @@ class _Conformity:
         """What a tolerance of that name is for; nothing where this measurement does not publish it."""
         known = self.numbers.by_name
         if name == VOLUMETRIC:
-            return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []
+            return [self.volumetric(known[published.POSITION_ERROR])] if published.POSITION_ERROR in known else []
         if name in SQUARENESS:
             return [self.of(known[name], None, signed=True)] if name in known else []
         if name in ERROR_MOTIONS:
             return self.motion(name)
-        base = figure_of(name) or name
-        if base in FIGURES or base in DIAGONAL_FIGURES:
+        base = published.figure_of(name) or name
+        if base in published.FIGURES or base in published.DIAGONAL_FIGURES:
             own = [
                 q
                 for q in known.values()
-                if f"{q.name}.".startswith(f"{name}.") or (name == base and figure_of(q.name) == base)
+                if f"{q.name}.".startswith(f"{name}.") or (name == base and published.figure_of(q.name) == base)
             ]
             return [self.of(q, None, signed=base == "B_mean") for q in own]
-        allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, *DIAGONAL_FIGURES, VOLUMETRIC]
+        allowed = [*ERROR_MOTIONS, *SQUARENESS, *published.FIGURES, *published.DIAGONAL_FIGURES, VOLUMETRIC]
         raise ModelError(
             f"{name!r} is no figure with a tolerance{did_you_mean(name, allowed)}: an error motion or squareness of "
-            f"ISO 230-1, {', '.join(FIGURES)} of ISO 230-2 (A_X for one axis), or {VOLUMETRIC}"
+            f"ISO 230-1, {', '.join(published.FIGURES)} of ISO 230-2 (A_X for one axis), or {VOLUMETRIC}"
         )
 
     def motion(self, name: str) -> list[_Figure]:
@@ -227,17 +218,17 @@ class _Conformity:
             return [_Figure(name, profile.unit, members, _RANGE, signed=False)]
         return [self.of(known[name], _ONLY)] if name in known else []
 
-    def same(self, mean: Quantity, motion: Quantity) -> bool:
+    def same(self, mean: published.Quantity, motion: published.Quantity) -> bool:
         """Whether the range of a motion is the M of ISO 230-2: one run, fitted at all of its positions."""
         values = self.numbers.value
         found = float(values[mean.first])
         return bool(np.isfinite(found) and abs(np.ptp(values[motion.members]) - found) <= _SAME_RANGE * found)
 
-    def of(self, q: Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
+    def of(self, q: published.Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""
         return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), kind, signed)
 
-    def volumetric(self, q: Quantity) -> _Figure:
+    def volumetric(self, q: published.Quantity) -> _Figure:
         """The largest length of the position error, of those points that can have it.
 
         A direction that is not measured anywhere is no part of it; a point with a gap leaves it undetermined.
@@ -276,7 +267,7 @@ class _Conformity:
             u = float(high - low) / 4.0
         if self.budget is None:
             return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", INCOMPLETE)
-        if self.doubtful and figure_of(name) is None:
+        if self.doubtful and published.figure_of(name) is None:
             return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", ONLY_IF_RIGHT)
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
@@ -311,11 +302,11 @@ class _Conformity:
             return draw_readings(self.fitted, contributors, _SAMPLES, self.seed).deviation
         # by the joint distribution of all unknowns as it is published
         rng = np.random.default_rng(self.seed)
-        mapped = sum(q.count for q in self.numbers.quantities if figure_of(q.name) is None)
+        mapped = sum(q.count for q in self.numbers.quantities if published.figure_of(q.name) is None)
         out = np.zeros((_SAMPLES, len(self.numbers.value)))
         for k, joint in enumerate(drawn(self.fitted.joint, rng, _SAMPLES)):
             self.progress("drawing", k / _SAMPLES)
-            out[k, :mapped] = numbers(self.fitted, joint).value - self.numbers.value[:mapped]
+            out[k, :mapped] = published.numbers(self.fitted, joint).value - self.numbers.value[:mapped]
         return out
 
     def why(self, name: str) -> str:
