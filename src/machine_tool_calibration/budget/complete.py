@@ -38,10 +38,7 @@ def declared_contributors(sessions: Sequence[Session]) -> tuple[Contributor, ...
 
 
 def identify(chosen: FitRequest) -> Result | JointResult:
-    """Identify one machine from one session or several, with the complete uncertainty where they state a budget.
-
-    A ModelError as for `identify_sessions`.
-    """
+    """Identify one machine, with the complete uncertainty where budgets are stated; raises as `identify_sessions`."""
     result, lines = identify_sessions(chosen), declared_contributors(chosen.sessions)
     return completed(result, propagate(fitted_sessions(result), lines)) if lines else result
 
@@ -49,19 +46,13 @@ def identify(chosen: FitRequest) -> Result | JointResult:
 def improve(
     subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
 ) -> Improvement:
-    """Make a model better step by step, each with the complete uncertainty where the sessions state a budget.
-
-    A ModelError if the data does not allow the model.
-    """
+    """Make a model better step by step, each as of `identify`; a ModelError if the data does not allow the model."""
     chosen = FitRequest.of(subject)
     return completed_steps(improve_models(chosen, progress=progress), declared_contributors(chosen.sessions))
 
 
 def diagnose(chosen: FitRequest, *, progress: Callable[[str, float], None]) -> tuple[Diagnosis, Conclusions]:
-    """Look for the effects that a model lacks, and draw the conclusions (`conclude`).
-
-    A ModelError if the data does not allow the model.
-    """
+    """Look for what a model lacks, and draw the conclusions; a ModelError if the data does not allow the model."""
     found = look_for_effects(chosen, progress=lambda what, share: progress(what, SEARCH * share))
     return found, conclude(found, progress=progress)
 

@@ -27,10 +27,7 @@ class BudgetFile(Record):
 
 
 def read_budget(path: Path) -> tuple[Contributor, ...]:
-    """The contributors that a file lists.
-
-    A SessionError if it cannot be read, or something in it is wrong; one line with file, line and key.
-    """
+    """The contributors that a file lists; a SessionError names file, line and key of what is wrong in it."""
     return parse_record(read_text(path), str(path), BudgetFile, FORMAT).contributors
 
 
@@ -40,10 +37,7 @@ def instruments() -> tuple[str, ...]:
 
 
 def template(instrument: str) -> str:
-    """The text of an instrument's budget to begin with, every value with its source.
-
-    A ModelError if there is none for it.
-    """
+    """The text of an instrument's budget to begin with, with its values' sources; a ModelError if there is none."""
     if instrument not in instruments():
         near = did_you_mean(instrument, instruments())
         raise ModelError(f"no budget for the instrument {instrument!r}{near}; there are {', '.join(instruments())}")

@@ -34,10 +34,7 @@ class Until:
 
     @classmethod
     def parse(cls, text: str, own: Sequence[Effect] = ()) -> Until:
-        """From `U=2um` or `told=backlash_y,thermal_expansion_x`.
-
-        A SessionError: not of that form; a ModelError if an effect is not known.
-        """
+        """From `U=2um` or `told=backlash_y,…`; a SessionError: not of that form, a ModelError: an unknown effect."""
         name, _, value = (part.strip() for part in text.partition("="))
         if name == "U" and value:
             u = quantity(value, "length", "until U")

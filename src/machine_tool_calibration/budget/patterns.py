@@ -83,10 +83,7 @@ class Pattern:
 
 
 def pattern(contributor: Contributor, observed: Sequence[Observations]) -> Pattern:
-    """A contributor at the readings of one or several sessions.
-
-    A ModelError if it is of an instrument that none of the sessions has.
-    """
+    """A contributor at the readings of sessions; a ModelError if it is of an instrument that none of them has."""
     mine = [not contributor.instrument or o.session.instrument == contributor.instrument for o in observed]
     if not any(mine):
         read = ", ".join(dict.fromkeys(str(o.session.instrument or "no instrument that is named") for o in observed))
@@ -174,10 +171,7 @@ def _repeats_alone(group: IntArray, observed: Observations) -> bool:
 
 
 def _of_air(enters: str) -> float:
-    """Change of a length, relative, per unit of what the air is off.
-
-    A length is its count of wavelengths times the wavelength, which is inverse to the index.
-    """
+    """Relative change of a length per unit of what the air is off: its wavelength is inverse to the index."""
     index = ("air_temperature", "air_pressure", "air_humidity").index(enters)
     step = (0.1, 100.0, 0.01)[index]
     low, high = ([np.array([v + s * step * (k == index)]) for k, v in enumerate(STANDARD_AIR)] for s in (-1, 1))

@@ -151,10 +151,7 @@ class Budget:
         return _effective(np.array([line.u**2 for line in self.lines]), self.lines)
 
     def largest(self, name: str) -> Sum | None:
-        """The number of a quantity of which the combined uncertainty is largest; None if none is determined.
-
-        A ModelError: not published.
-        """
+        """A quantity's number of largest combined uncertainty, or None if none is determined; raises as `rms`."""
         quantity = self.numbers.quantity(name)
         own = self.u[quantity.members]
         if not np.isfinite(own).any():
@@ -163,10 +160,7 @@ class Budget:
         return self._sum(quantity, index, [line.u[index] for line in self.lines], self.numbers.u[index])
 
     def rms(self, name: str) -> Sum | None:
-        """The root mean square over the numbers of a quantity that are determined; None if none is.
-
-        A ModelError: not published.
-        """
+        """RMS over a quantity's numbers that are determined; None if none is. A ModelError: not published."""
         quantity = self.numbers.quantity(name)
         known = quantity.first + np.flatnonzero(np.isfinite(self.u[quantity.members]))
         if not len(known):

@@ -107,10 +107,7 @@ def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array]) -> Numbers:
 
 
 def of_document(document: Mapping[str, Any]) -> Numbers:
-    """What a result document (`mtcal-result/1`) says of its map, error motions and unknowns.
-
-    A CalibrationError: something is stated with an uncertainty that is none.
-    """
+    """What a result document says of map, motions and unknowns; a CalibrationError: an uncertainty that is none."""
     content, entries = document.get("error_map") or {}, list[_Entry]()
     if POSITION_ERROR in content:
         value, u = (np.asarray(content[key], dtype=np.float64) for key in (POSITION_ERROR, f"{POSITION_ERROR}_u"))

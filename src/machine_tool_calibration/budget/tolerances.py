@@ -26,10 +26,7 @@ class _File(Record):
 
 
 def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
-    """Tolerances in m and rad from texts such as `EXX=10um` and `C0Y=20urad`.
-
-    A SessionError: no unit, or one of another dimension; a ModelError: not of that form, or one name twice.
-    """
+    """Tolerances in m and rad from `EXX=10um` …; a SessionError: no such unit, a ModelError: another form, twice."""
     out: dict[str, float] = {}
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
@@ -42,10 +39,7 @@ def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
 
 
 def read_tolerances(path: Path) -> dict[str, float]:
-    """Tolerances in m and rad from a YAML file.
-
-    A SessionError if it cannot be read, or something in it is wrong; one line that says what and where.
-    """
+    """Tolerances in m and rad from a YAML file; a SessionError says what is wrong in it and where."""
     content = parse_record(read_text(path), str(path), _File, FORMAT).tolerances
     return {name: tolerance(name, value, f"{path}: ") for name, value in content.items()}
 

@@ -64,10 +64,7 @@ def machine_tables(fleet: Machines) -> dict[str, pd.DataFrame]:
 
 
 def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
-    """Write each as a Parquet file of its name, whole or not at all; the folder is made where it is missing.
-
-    A CalibrationError if one cannot be written.
-    """
+    """Write each, wholly or not at all, as Parquet into a folder that may be missing; a CalibrationError: it cannot."""
     written = []
     for name, table in tables.items():
         written.append(folder / f"{name}.parquet")

@@ -59,10 +59,7 @@ class Evaluated:
 
 
 def places(folders: Sequence[Path]) -> list[Place]:
-    """Session folders in folders and all below them, in the order of their labels.
-
-    A SessionError if there is no such folder, or no session in one.
-    """
+    """Session folders in folders and below, by their labels; a SessionError: no such folder, or no session in one."""
     found: dict[Path, Place] = {}
     root = Path(os.path.commonpath([folder.absolute() for folder in folders]))
     for folder in folders:

@@ -90,10 +90,7 @@ class Part:
 
 
 def judge(displacement: float, standoff: float) -> str:
-    """Why a touch does not count that triggered at a displacement along the outward normal, m; empty if it does.
-
-    It began at `standoff`, m.
-    """
+    """Why a touch does not count that began at `standoff`, m, and triggered so far outwards, m; empty if it does."""
     if displacement >= standoff:
         return "touch too early: the stylus touched before it approached"
     if displacement > _EARLY:

@@ -173,10 +173,7 @@ class Client(AbstractContextManager["Client"]):
         return (name, self.node.get_namespace()) in self.node.get_node_names_and_namespaces()
 
     def call(self, service: str, timeout: float) -> str:
-        """Call a `std_srvs/Trigger` and give its message.
-
-        A CalibrationError: the service is missing, refuses, or does not answer in time.
-        """
+        """Call a `std_srvs/Trigger`, give its message; a CalibrationError: missing, refused, or no answer in time."""
         client = self.client(service)
         if not self.wait(client.service_is_ready, timeout):
             raise CalibrationError(f"the service {service} is not there after {timeout:g} s")

@@ -62,9 +62,6 @@ class EnvironmentWatch:
 
 
 def interpolate(samples: deque[tuple[int, float]], stamp: int, age: int) -> float | None:
-    """The value at a time, ns, from samples (time, value) in any order that are no farther than `age`, ns, from it.
-
-    Between two samples it is interpolated; else it is that of the nearest one.
-    """
+    """The value at a time, ns, from samples no farther than `age`, ns: interpolated, or else that of the nearest."""
     near = sorted((time - stamp, value) for time, value in samples if abs(time - stamp) <= age)
     return float(np.interp(0.0, [time for time, _ in near], [value for _, value in near])) if near else None

@@ -84,11 +84,8 @@ class Graph:
         # small matrices and several processes: more threads only get in each other's way
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self._domain), "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
-        self._running[name] = self._launch(command, environment, self.folder / f"{name}.log")
-
-    def _launch(self, command: list[str], environment: dict[str, str], log: Path) -> subprocess.Popen[bytes]:
-        with log.open("ab") as file:
-            return subprocess.Popen(
+        with (self.folder / f"{name}.log").open("ab") as file:
+            self._running[name] = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=file,
@@ -281,10 +278,7 @@ def claimed_domain(wanted: int | None = None, namespace: str = "") -> Iterator[i
 
 @contextmanager
 def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
-    """The first of these domain ids that nobody on this machine has claimed, claimed for as long as this lasts.
-
-    A CalibrationError: none is free.
-    """
+    """The first of these ids that nobody here has claimed, while this lasts; a CalibrationError: none is free."""
     for domain in ids:
         if (claim := _claim(str(domain))) is not None:
             with claim:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was heard of a graph so far, for whoever shows it: readings, states of the nodes, the map, services.
-
-One thread hears, others look. Needs no ROS.
-"""
+"""What was heard of a graph so far, for whoever shows it: one thread hears, others look. Needs no ROS."""
 
 import re
 import threading
@@ -130,10 +127,7 @@ class Heard:
                 self._rows.append((setup, displacement))
 
     def say(self, state: NodeState) -> None:
-        """A node said how it is: again and again, or on the topic of its own.
-
-        A CalibrationError: there are more nodes than any graph has.
-        """
+        """A node said how it is, again and again or on a topic of its own; a CalibrationError: too many nodes."""
         states = self._spoken if state.repeats else self._said
         key = f"{state.node}: {state.kind}"
         with self._lock:

@@ -127,10 +127,7 @@ class _Listeners:
 
 
 def free_folder(name: str, given: Path | None) -> Path:
-    """The folder for the output: the one given if it is free, else `mtcal_output/<name>` or the next number.
-
-    A CalibrationError: the one given holds something.
-    """
+    """The output's folder: the one given, or `mtcal_output/<name>` numbered; a CalibrationError: it holds something."""
     if given is not None:
         if given.exists() and (not given.is_dir() or any(given.iterdir())):
             raise CalibrationError(f"{given}: is there already; choose another output folder")

@@ -28,10 +28,7 @@ def _shares() -> Iterator[Path]:
 
 
 def shared_file(name: str) -> Path:
-    """A file of the package by its path below the package's share folder, such as `msg_docs/estimator.md`.
-
-    A CalibrationError: it is not installed.
-    """
+    """A file by its path below the package's share folder, as `msg_docs/probe.md`; a CalibrationError: missing."""
     for share in _shares():
         if (share / name).is_file():
             return share / name
@@ -39,10 +36,7 @@ def shared_file(name: str) -> Path:
 
 
 def procedure_file(name: str) -> Path:
-    """A procedure by its file, or by the name of one that the package brings.
-
-    A CalibrationError: there is no such file; the message names those that there are.
-    """
+    """A procedure by its file, or the name of one that the package brings; a CalibrationError names these."""
     path = Path(name)
     if path.is_file() or path.suffix or path.parent != Path():
         return path
@@ -58,10 +52,7 @@ def procedure_names() -> list[str]:
 
 
 def usage(node: str, about: str) -> str:
-    """The help of a node's executable: what the node is, and the tables of its parameters in msg_docs.
-
-    A CalibrationError: msg_docs is not installed.
-    """
+    """A node's help: what it is, and its parameters as in msg_docs; a CalibrationError if these are missing."""
     common = shared_file("msg_docs/README.md")
     heading = f"\n## Parameters of `{node}`\n"
     page = next(page for page in common.parent.glob("*.md") if heading in page.read_text(encoding="utf-8"))

@@ -198,10 +198,7 @@ class Candidates:
         return variance, slope
 
     def _solved(self, weights: Array, *, responses: bool) -> tuple[Array, Array, Array, float]:
-        """(q,) variances; redundancy; and where `responses` are wanted N^-1 j of each number.
-
-        These are (m, q) of the shared unknowns and (P, d, q) of the points' own.
-        """
+        """(q,) variances; N^-1 j, (m, q) of shared and (P, d, q) of points' unknowns, where wanted; redundancy."""
         some = np.flatnonzero(weights > 0)
         # the shared unknowns that these candidates bring with them
         place = np.flatnonzero(np.asarray(self._never | self._families[some].any(axis=0))[self._family])

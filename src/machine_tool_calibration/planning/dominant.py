@@ -154,10 +154,7 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
 
 
 def expected_model(session: Session, model: str | None, angular: float = ANGULAR) -> MethodModel:
-    """A session's model with angular errors of an expected root mean square, rad, whatever the readings say.
-
-    Those of a further measurement are not there yet.
-    """
+    """A session's model with angular errors of an expected RMS, rad, whatever its readings (if taken) say of them."""
     built = build_model(session, model)[0]
     return built.expecting(angular) if isinstance(built, StepDiagonalModel) else built
 

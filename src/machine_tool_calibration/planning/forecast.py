@@ -62,10 +62,7 @@ class Detectable:
 def detectable(
     joint: JointFit, effects: Sequence[Effect], *, progress: Callable[[str, float], object] = lambda what, share: None
 ) -> Detectable:
-    """The smallest sizes of effects that would be found, if the readings of a fit scatter as declared.
-
-    Of the readings only where they are taken matters.
-    """
+    """The smallest sizes of effects to be found if a fit's readings, whose places alone matter, scatter as declared."""
     screened, excluded = _screened(Pool(joint), effects, progress)
     needed = float(np.log(max(len(screened), 1.0 / priors.EFFECT)))
     best = {candidate.effect: candidate.smallest(needed) for candidate in screened}

@@ -58,10 +58,7 @@ class Shown:
 
 
 def inject(effect: Effect, plans: Sequence[str] = PLANS) -> Injected | None:
-    """Put an effect into the first plan in which it clearly shows, or else into the one in which it shows best.
-
-    None where no reading of any plan depends on it.
-    """
+    """Put an effect into the first plan that shows it clearly, or else best; None where no reading depends on it."""
     best: tuple[float, str, Fit, Array] | None = None
     for plan in plans:
         made = _made(effect, plan)

@@ -347,10 +347,7 @@ def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: 
 
 
 class _Relaxed:
-    """What is allowed of the weights where candidates may be measured in part.
-
-    A setup is there, and mounted, at least in the part in which a target of it is measured: no more than in any plan.
-    """
+    """What is allowed of weights in part: a setup is there, and mounted, at least as far as any target of it is."""
 
     def __init__(self, offered: Offer, repeats: int) -> None:
         """State the rules for a number of repeats."""

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A running procedure: what it hears from instrument and axes, what it asks of them, and where it is.
-
-Times of events are whole nanoseconds of the graph's clock.
-"""
+"""A running procedure: what it hears, what it asks, and where it is; times are whole ns of the graph's clock."""
 
 from __future__ import annotations
 

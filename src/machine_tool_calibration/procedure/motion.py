@@ -23,10 +23,7 @@ class AxisLimits:
 
 @dataclass(frozen=True)
 class Move:
-    """A straight move of several axes that start, travel and arrive together.
-
-    The path parameter runs from 0 to 1 with a trapezoidal speed (a triangular one when the move is short).
-    """
+    """A straight move of axes together; a path parameter goes from 0 to 1 with a trapezoidal (or triangular) speed."""
 
     start: Mapping[str, float]  # position of each axis at the beginning, m or rad
     end: Mapping[str, float]  # position of each axis at the end; the same axes

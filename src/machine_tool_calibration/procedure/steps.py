@@ -163,10 +163,7 @@ _Run = tuple[str, int, Sequence[int] | None, Sequence[Position], Mapping[str, fl
 def _steps(
     procedure: Procedure, runs: Sequence[_Run], *, points: bool, datum_per_run: bool = True, approached: bool = True
 ) -> Iterator[Step]:
-    """Steps of runs.
-
-    Where they are not `approached` each from its side, the axes go from one straight to the next.
-    """
+    """Steps of runs; where these are not `approached` each from its side, the axes go from one straight to the next."""
     number = 0
     last_setup = ""
     before: dict[str, float] = {}

@@ -77,10 +77,7 @@ _TYPES = {topic.name: topic.type for topic in GRAPH_TOPICS if topic.name in (SES
 
 
 def find_topics(path: Path, topics: Mapping[str, Topic], names: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Names in the bag of the topics `session` and `reading`; `names` by role where it uses other ones.
-
-    A RecordingError, with the bag's path, if one is missing, or there are several and no name says which.
-    """
+    """The bag's `session` and `reading`, or `names` by role; a RecordingError: one is missing, or it is not clear."""
     names = dict(names or {})
     unknown = [role for role in names if role not in _TYPES]
     if unknown:

@@ -208,10 +208,7 @@ class McapReader:
     """Reads one finished MCAP file, in the order in which it was written."""
 
     def __init__(self, path: Path) -> None:
-        """Check the file's ends and read its summary.
-
-        A RecordingError if it is not an MCAP file of ROS 2, or damaged; an UnfinishedError if its end is missing.
-        """
+        """Check the ends, read the summary; a RecordingError: damaged, or not ROS 2's; an UnfinishedError: cut off."""
         self.path = path
         with reading(path, RecordingError), path.open("rb") as stream:
             self._check_ends(stream)

@@ -90,10 +90,7 @@ def is_readable(topic: Topic) -> bool:
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:
-    """The MCAP files of a bag, in their order.
-
-    A RecordingError if it is no bag, or one that points outside its folder; an UnfinishedError without `metadata.yaml`.
-    """
+    """A bag's MCAP files in order; a RecordingError: no bag, or outside its folder; an UnfinishedError: no metadata."""
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder")
     if not path.is_dir():

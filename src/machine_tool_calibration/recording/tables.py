@@ -207,10 +207,7 @@ def save_tables(
 
 
 def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
-    """Write a table in pieces; the ending says whether CSV or Parquet.
-
-    Nothing is left of one that cannot be ended: a RecordingError.
-    """
+    """Write a table, as CSV or Parquet by the ending, wholly or not at all: a RecordingError if it cannot be."""
     with whole(path, RecordingError) as part:
         _parquet(pieces, part) if path.suffix.lower() == ".parquet" else _csv(pieces, part)
 

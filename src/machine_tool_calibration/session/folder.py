@@ -67,10 +67,7 @@ def readings_frame(session: Session) -> pd.DataFrame:
 
 
 def write_session(session: Session, folder: Path, *, overwrite: bool = False) -> None:
-    """Write `session.yaml` and `observations.csv` into a folder; numbers come back to the last bit.
-
-    A SessionError says that a session is already there (unless `overwrite`), or the folder cannot be written.
-    """
+    """Write a session folder, to the last bit; a SessionError: there is one (unless `overwrite`), or it cannot be."""
     from machine_tool_calibration.session.csv_text import write_csv
 
     folder = Path(folder)

@@ -18,10 +18,7 @@ FORMAT = "mtcal-session/1"
 
 
 def parse_description(text: str, source: str) -> Description:
-    """The description that the text of a `session.yaml` holds.
-
-    A SessionError says in one line file (`source`), line and key of the first defect.
-    """
+    """The description that a `session.yaml` holds; a SessionError: its `source`, line and key of the first defect."""
     document = _mapping(text, source, FORMAT)
     return describe(document.value, source, document)
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the records of all files have in common, numbers whose size is not checked, and what is wrong with a record.
-
-That is said in one line: the first defect, with file, line and key.
-"""
+"""What records of all files have in common, plain numbers, and a record's first defect in one line."""
 
 from collections.abc import Container, Sequence
 from typing import Annotated, Any, TypeVar, get_args
@@ -43,10 +40,7 @@ def validated(
     unnamed: Container[object] = (),
     refusal: type[CalibrationError] = SessionError,
 ) -> AnyRecord:
-    """The record that a content is; arguments as of `first_defect`.
-
-    A `refusal` says the first defect in one line.
-    """
+    """The record that a content is, else a `refusal` that says its first defect; arguments as of `first_defect`."""
     try:
         return record.model_validate(content)
     except ValidationError as error:

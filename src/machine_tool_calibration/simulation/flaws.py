@@ -40,10 +40,7 @@ def vapour_pressure(temperature: Array | float, humidity: Array | float) -> Arra
 
 
 def refractivity(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.0) -> Array:
-    """Refractive index of air minus one, for the helium-neon laser and 450 ppm of carbon dioxide.
-
-    At a temperature, °C, a pressure, Pa, and a relative humidity, 0 (dry) … 1.
-    """
+    """Refractive index of air minus one (He-Ne laser, 450 ppm CO2) at °C, Pa and relative humidity 0 (dry) … 1."""
     t, p = np.asarray(temperature, float), np.asarray(pressure, float)
     s = HELIUM_NEON**-2
     dispersion = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual machine tool: where the tool really is when the axes are commanded somewhere.
-
-Rigid bodies, composed with real rotations, so that products of errors are as in a real machine.
-"""
+"""The virtual machine tool: where the tool really is, by rigid bodies composed with real rotations."""
 
 from __future__ import annotations
 

@@ -185,10 +185,7 @@ def read_machine(path: Path | str) -> MachineSpec:
 
 
 def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] = ()) -> AnyRecord:
-    """A record from a YAML file; `unnamed` as for `first_defect`.
-
-    A CalibrationError if the file cannot be read, or a key or value is wrong; one line names file, line and key.
-    """
+    """A record from a YAML file; a CalibrationError names file, line and key. `unnamed` is as for `first_defect`."""
     document = read_yaml(path)
     content = document.value if document.value is not None else {}
     return validated(record, content, str(path), document, unnamed=unnamed, refusal=CalibrationError)

@@ -204,10 +204,7 @@ _ORDERS = 4  # harmonics of a rotary axis's motion
 
 
 def random_periodic(rng: np.random.Generator, amplitudes: Sequence[float]) -> list[Table]:
-    """Smooth random motions of a rotary axis: zero at 0, each with its largest absolute value.
-
-    Harmonics up to the fourth, falling with the order.
-    """
+    """Smooth random motions of a rotary axis, zero at 0, each with its largest absolute value: falling harmonics."""
     nodes = np.linspace(0.0, 2.0 * np.pi, 37)
     k = np.arange(1, _ORDERS + 1)[:, None]
     cosines, sines = np.cos(k * nodes), np.sin(k * nodes)

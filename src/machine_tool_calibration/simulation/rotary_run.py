@@ -94,10 +94,7 @@ class RotaryPlan(plan.Plan):
         return np.concatenate([once, once[::-1]]) if self.both_ways else once
 
     def senses(self) -> Array:
-        """Sign of the last move before each reading of a run.
-
-        The axis turns beyond the last angle before it comes back, so that this one too is approached from both sides.
-        """
+        """Sign of the last move before each reading; the axis overruns the last angle, to approach it both ways."""
         turns = self.turns()
         if not self.both_ways:
             return last_direction(turns)

@@ -107,10 +107,7 @@ class Scene:
         return self.position[:, "XYZ".index(axis)] if axis in "XYZ" else self.angle
 
     def sensed(self, column: str, lag: float = 0.0) -> Array:
-        """(n,) an environment column, or what follows it with a first-order lag, s.
-
-        20 °C, 101325 Pa or 50 % where it is not recorded.
-        """
+        """(n,) an environment column, standard air where not recorded, or what follows it with a first-order lag, s."""
         drift = self._drift(column)
         return drift.lagged(self.time, lag) if lag else drift(self.time)
 

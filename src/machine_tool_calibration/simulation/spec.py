@@ -198,10 +198,7 @@ class FlawSpec(Record):
 
 
 class Spread(Record):
-    """Irreproducibility between setups (mounting, slow heat): standard deviations per mounting, m.
-
-    A mounting is a stretch of consecutive readings of one setup.
-    """
+    """Irreproducibility between mountings (stretches of one setup's readings): standard deviations, m."""
 
     offset: NotNegative = 0.0  # one shift of all readings (seen only where readings are absolute)
     slope: NotNegative = 0.0  # readings drift from -slope to +slope over the setup

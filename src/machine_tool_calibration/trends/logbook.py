@@ -88,10 +88,7 @@ class Entry:
 
     @cached_property
     def session(self) -> Session:
-        """The measurement, read again from what was entered.
-
-        A SessionError if what was entered has another SHA-256, or cannot be read.
-        """
+        """The measurement, read again; a SessionError if it cannot be, or its SHA-256 is not that which was entered."""
         if sha256((self.description + self.readings).encode()).hexdigest() != self.sha256:
             raise SessionError(f"entry {self.number} ({self.label}): the data has another SHA-256 than was entered")
         with tempfile.TemporaryDirectory() as folder:
@@ -189,10 +186,7 @@ class Logbook:
         return replace(entry, number=int(done.lastrowid or 0)), True
 
     def add_diagnosis(self, sha256: str, document: Mapping[str, Any]) -> None:
-        """Keep what a diagnosis of a session says, in the types of JSON, by the SHA-256 of the session's data.
-
-        One that is there already stays. A CalibrationError as for `add`.
-        """
+        """Keep a diagnosis, in JSON's types, by its session's SHA-256; the first one stays. Raises as `add`."""
         text = json.dumps(document, ensure_ascii=False, allow_nan=False)
         with self._open(make=True) as database, database:
             database.executescript(f"BEGIN IMMEDIATE;{_DIAGNOSES}COMMIT;")
@@ -226,10 +220,7 @@ class Logbook:
         return tuple(entry for entry in found if entry.machine == machine)
 
     def of_one(self, machine: str | None = None) -> tuple[Entry, ...]:
-        """Entries of the machine that is named, or of the only one.
-
-        A CalibrationError as for `entries`, there are none, or several machines and none is named.
-        """
+        """Entries of the machine named, or the only one; raises as `entries`, or if there are none, or several."""
         found = self.entries(machine)
         names = list(dict.fromkeys(entry.machine for entry in found))
         if not found:

@@ -118,10 +118,7 @@ def of_fit(
     seed: int = 1,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Statement:
-    """What one identified session states, with all correlations, which are carried by draws.
-
-    Each uncertainty is told to 1 / sqrt(2 draws).
-    """
+    """What an identified session states, its correlations carried by draws: each u is told to 1 / sqrt(2 draws)."""
     published, origin = everything(fitted), fitted.provenance
     samples = np.zeros((draws, len(numbers(fitted, fitted.joint).value)))
     # Each measurement has draws of its own: with the same ones two of them would seem to err together.
@@ -145,10 +142,7 @@ def of_fit(
 
 
 def of_result(document: Mapping[str, Any], label: str) -> Statement:
-    """What a result document states: values and uncertainties, without correlations.
-
-    A CalibrationError if it is no result of one session, or states an uncertainty that is none.
-    """
+    """What a result document states, without correlations; a CalibrationError: not of one session, or damaged."""
     if document.get("format") != "mtcal-result/1" or document.get("method") == "joint":
         raise CalibrationError(f"{label}: is no result document (mtcal-result/1) of one session")
     if "provenance" not in document or "model" not in document:

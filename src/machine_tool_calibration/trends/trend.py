@@ -89,10 +89,7 @@ class _Weighed:
 
 
 def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) -> Explanation:
-    """Weigh the explanations of one number in n sessions: values, uncertainties, and by which way it was read.
-
-    The more numbers are followed (`among`), the more each needs to raise an alarm.
-    """
+    """Weigh explanations of a number in n sessions, by its ways of reading; among many it takes more for an alarm."""
     unit = float(np.median(u))
     y, sigma, place = (value - np.median(value)) / unit, u / unit, np.eye(int(way.max()) + 1)[way]
     begins, columns = _columns(days)
@@ -264,10 +261,7 @@ class Trend:
 
 
 def trend(entries: Sequence[Entry], limits: Mapping[str, float] | None = None) -> Trend:
-    """Follow the sizes of one machine's errors over entries by date, with limits by name, in m or rad.
-
-    A ModelError: a limit for what is in no entry, or in another unit.
-    """
+    """Follow one machine's errors by date; a ModelError: a limit, m or rad, is of no entry, or of another unit."""
     limits = limits or {}
     names = {size.name: size.unit for entry in entries for size in entry.sizes}
     for name in limits:

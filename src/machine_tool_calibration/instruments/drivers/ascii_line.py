@@ -47,10 +47,7 @@ class Transport(Protocol):
 
 
 def connect(connection: Connection, timeout: float) -> Transport:
-    """Open the link; an InstrumentError if that cannot be done.
-
-    `timeout` is for the connection to be made and for each piece of data to be sent, s.
-    """
+    """Open the link; `timeout`, s, is for that and for each piece of data. An InstrumentError if it cannot be."""
     if connection.tcp is not None:
         return _TcpTransport(connection.tcp, timeout)
     assert connection.serial is not None, "a Connection has one of the two"
@@ -214,10 +211,7 @@ SHOWN = 60
 
 
 class AsciiLineDriver:
-    """Reads lines, asks for them where the instrument does not stream, and makes a lost link again.
-
-    `clock` gives the time of a sample, s.
-    """
+    """Reads lines, asks for them where none stream, and restores a lost link; `clock` gives the time of a sample, s."""
 
     def __init__(
         self,

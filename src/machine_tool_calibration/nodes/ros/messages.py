@@ -145,11 +145,7 @@ def joint_state(stamp: int, values: Mapping[str, float], rates: Mapping[str, flo
 
 
 def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) -> JointTrajectory:
-    """A command to the axes.
-
-    Each point has positions of the same axes, m or rad, and when they are reached, s from the start; the stamp, ns,
-    is its identity.
-    """
+    """A command to the axes: places, m or rad, and when each is reached, s; the stamp, ns, is its identity."""
     steps = list(points)
     names = list(steps[0][0]) if steps else []
     message = JointTrajectory(joint_names=names)

@@ -121,10 +121,7 @@ def _made(create: Callable[[], Node], args: list[str]) -> Node:
 
 
 def run_here(create: Callable[[], Node], parameters: Mapping[str, Any], rules: Iterable[str] = ()) -> Node:
-    """Run a node in this process until it ends or is interrupted, and return it.
-
-    `rules` are for names of topics and the namespace, `FROM:=TO`. A CalibrationError: it cannot start.
-    """
+    """Run a node here to its end, and return it; `rules` are names' `FROM:=TO`. A CalibrationError: it cannot start."""
     arguments = ["--ros-args"]
     for name, value in parameters.items():
         arguments += ["-p", f"{name}:={json.dumps(value)}"]  # which is YAML as well
@@ -147,8 +144,5 @@ def _await_stop(stop: threading.Event, grace: float) -> None:
 
 
 def post(node: GuardedNode, function: Callable[[], None]) -> None:
-    """Have a function called in the node's own thread; may be called from any thread.
-
-    An exception in the function is logged.
-    """
+    """Have a function called in the node's own thread, from any thread; an exception in it is logged."""
     node.executor.create_task(node.guarded(function))

@@ -156,10 +156,7 @@ class _Goal:
 
 
 class Goals:
-    """The goals of a node, one at a time; each runs in a thread beside the node's own.
-
-    `changed` is called when a goal begins or ends.
-    """
+    """The goals of a node, one at a time, each in a thread of its own; `changed` is called when one begins or ends."""
 
     def __init__(self, node: ManagedNode, changed: Callable[[], None]) -> None:
         self._node, self._changed = node, changed

@@ -100,10 +100,7 @@ class Taps:
         self._undated: list[Taken] = []
 
     def add(self, topic: str, message_type: str, request: Qos | None = None) -> None:
-        """Subscribe to a topic by its absolute name, as requested, or for what all publishers that are there can give.
-
-        A CalibrationError: the message type is not installed.
-        """
+        """Subscribe to an absolute name, as requested or as publishers can give; a CalibrationError: unknown type."""
         if request is None:
             request = request_for(self._offered(topic))
         self.taps[topic] = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))

@@ -168,10 +168,7 @@ def points_yaml(points: Sequence[WorkpiecePoint]) -> str:
 
 
 def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
-    """A procedure's text with these points as its workpiece; comments are lost.
-
-    A SessionError if the file is no procedure of probing, or does not allow these points.
-    """
+    """A probing procedure's text with these points, comments lost; a SessionError if it is another, or refuses them."""
     if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
     content = dict(read_yaml(file, LARGEST_TABLE).value)
@@ -200,10 +197,7 @@ class Workpiece(Record):
 
 
 def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
-    """The points of the workpiece that a file describes.
-
-    A SessionError names file, line and key of the first defect, or is that of `workpiece_points`.
-    """
+    """The points of a workpiece's file; a SessionError names its first defect, or is that of `workpiece_points`."""
     document = read_yaml(file)
     workpiece = validated(Workpiece, document.value, str(file), document, unnamed=_KINDS)
     return workpiece_points(workpiece, file.parent)

@@ -245,10 +245,7 @@ def _smooth_runs(contour: Contour) -> list[list[Segment]]:
 def reachable(
     touched: Touched, obstacles: Sequence[Segment], stylus_radius: float, clearance: float = 0.0
 ) -> BoolArray:
-    """(n,) whether the stylus sphere touches there and nowhere else, of all outlines in the plane of probing.
-
-    From everything but its contact it keeps the clearance, m.
-    """
+    """(n,) whether the stylus touches there and nowhere else, and keeps the clearance, m, from all but its contact."""
     centre = touched.position + stylus_radius * touched.normal
     free = np.ones(len(centre), dtype=bool)
     for segment in obstacles:
