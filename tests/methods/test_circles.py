@@ -20,7 +20,7 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.procedure.description import read_procedure
-from machine_tool_calibration.procedure.plan import plan
+from machine_tool_calibration.procedure.steps import plan
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import describe

@@ -26,9 +26,8 @@ from machine_tool_calibration.procedure.events import (
     Stop,
     Timing,
 )
-from machine_tool_calibration.procedure.plan import Plan
 from machine_tool_calibration.procedure.sequencer import Sequencer
-from machine_tool_calibration.procedure.steps import pointing
+from machine_tool_calibration.procedure.steps import Plan, pointing
 
 SECOND = 1_000_000_000
 TICK = 0.1

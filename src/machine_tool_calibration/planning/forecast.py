@@ -21,8 +21,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
-from machine_tool_calibration.procedure.plan import plan
-from machine_tool_calibration.procedure.steps import Step, pointing
+from machine_tool_calibration.procedure.steps import Step, plan, pointing
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (

@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.procedure.description import Choices, Procedure, expanded, parse_procedure
-from machine_tool_calibration.procedure.plan import plan
+from machine_tool_calibration.procedure.steps import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
 from machine_tool_calibration.session.text import load_yaml, yaml_text
 

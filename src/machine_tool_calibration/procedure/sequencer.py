@@ -15,8 +15,7 @@ import numpy as np
 from machine_tool_calibration.procedure import events
 from machine_tool_calibration.procedure.events import Counters, DatumGroup, Pending, Phase, State, Timing, Visit
 from machine_tool_calibration.procedure.motion import move
-from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.steps import Step, pointing
+from machine_tool_calibration.procedure.steps import Plan, Step, pointing
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 

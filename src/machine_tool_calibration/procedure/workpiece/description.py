@@ -26,18 +26,7 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.description import parse_procedure, read_procedure
-from machine_tool_calibration.procedure.workpiece.outline import (
-    Arc,
-    Contour,
-    Material,
-    Straight,
-    Touched,
-    polygon,
-    probe_points,
-    reachable,
-    read_csv_outline,
-    read_dxf_outline,
-)
+from machine_tool_calibration.procedure.workpiece import outline
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.record import NotNegative, Positive, Record, validated
@@ -68,9 +57,9 @@ class Line(Record):
             raise ValueError("must have either spacing or count")
         return self
 
-    def contour(self, unit: float) -> Contour:
+    def contour(self, unit: float) -> outline.Contour:
         """The wall, m."""
-        return Contour((Straight(_scaled(self.start, unit), _scaled(self.end, unit)),), False)
+        return outline.Contour((outline.Straight(_scaled(self.start, unit), _scaled(self.end, unit)),), False)
 
 
 class Circle(Record):
@@ -83,17 +72,17 @@ class Circle(Record):
     count: Annotated[int, Field(ge=1, le=100_000)]  # points, equally spaced
     first: Finite = 0.0  # angle of the first one, rad
 
-    def contour(self, unit: float) -> Contour:
+    def contour(self, unit: float) -> outline.Contour:
         """The circle, m; the points lie in the middle of as many equal parts of it."""
         part = 2.0 * np.pi / self.count
-        arc = Arc(_scaled(self.centre, unit), 0.5 * self.diameter * unit, self.first - 0.5 * part, 2.0 * np.pi)
-        return Contour((arc,), True)
+        arc = outline.Arc(_scaled(self.centre, unit), 0.5 * self.diameter * unit, self.first - 0.5 * part, 2.0 * np.pi)
+        return outline.Contour((arc,), True)
 
 
 class _Drawn(Record):
     name: str = "work"  # of the feature
     closed: bool = True  # whether the last corner is joined to the first
-    material: Material  # `inside` for a block, `outside` for a pocket; `left` or `right` for an open one
+    material: outline.Material  # `inside` for a block, `outside` for a pocket; `left` or `right` for an open one
     spacing: Length  # distance of points
     clearance: NotNegative = 0.0  # what the stylus keeps from other walls
 
@@ -104,9 +93,9 @@ class Outline(_Drawn):
     kind: Literal["outline"]
     vertices: Annotated[tuple[Vector2, ...], Field(min_length=2)]  # x, y of the corners in their order
 
-    def contour(self, unit: float) -> Contour:
+    def contour(self, unit: float) -> outline.Contour:
         """The polygon, m; corners given twice are taken once."""
-        return polygon([_scaled(vertex, unit) for vertex in self.vertices], closed=self.closed)
+        return outline.polygon([_scaled(vertex, unit) for vertex in self.vertices], closed=self.closed)
 
 
 class File(_Drawn):
@@ -213,9 +202,9 @@ def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint
     radius = 0.5 * (workpiece.stylus_diameter or 0.0) * unit
     parts = [part for feature in workpiece.features for part in _parts(feature, unit, folder)]
     obstacles = [segment for _, contours, _, _ in parts for contour in contours for segment in contour.segments]
-    found: list[tuple[str, Touched]] = []
+    found: list[tuple[str, outline.Touched]] = []
     for feature, _, touched, clearance in parts:
-        kept = touched.select(reachable(touched, obstacles, radius, clearance)) if radius else touched
+        kept = touched.select(outline.reachable(touched, obstacles, radius, clearance)) if radius else touched
         if isinstance(feature, Circle) and feature.kind == "hole" and feature.diameter * unit <= 2 * radius:
             raise SessionError(f"feature {feature.name}: the stylus does not fit into a hole of {feature.diameter:g}")
         found.append((feature.name, kept))
@@ -229,44 +218,44 @@ def workpiece_entries(points: tuple[WorkpiecePoint, ...]) -> list[dict[str, Any]
     return [{"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)} for p in points]
 
 
-_Part = tuple[Feature, list[Contour], Touched, float]
+_Part = tuple[Feature, list[outline.Contour], outline.Touched, float]
 
 
 def _parts(feature: Feature, unit: float, folder: Path) -> Iterator[_Part]:
     """A feature's contours with their points."""
     if isinstance(feature, Points):
         normal = np.array(feature.normals)
-        touched = Touched(np.array(feature.positions) * unit, normal / np.linalg.norm(normal, axis=1)[:, None])
+        touched = outline.Touched(np.array(feature.positions) * unit, normal / np.linalg.norm(normal, axis=1)[:, None])
         yield feature, [], touched, 0.0
         return
     if isinstance(feature, File | Outline):
         for contour in _file(feature, folder) if isinstance(feature, File) else [feature.contour(unit)]:
-            touched = probe_points(contour, feature.material, feature.spacing * unit)
+            touched = outline.probe_points(contour, feature.material, feature.spacing * unit)
             yield feature, [contour], touched, feature.clearance * unit
         return
     contour = feature.contour(unit)
+    spacing = contour.segments[0].length / (feature.count or 1)
     if isinstance(feature, Circle):
-        material: Material = "outside" if feature.kind == "hole" else "inside"
-        yield feature, [contour], probe_points(contour, material, contour.segments[0].length / feature.count), 0.0
+        material: outline.Material = "outside" if feature.kind == "hole" else "inside"
     else:
-        spacing = feature.spacing * unit if feature.spacing else contour.segments[0].length / (feature.count or 1)
-        yield feature, [contour], probe_points(contour, feature.material, spacing), 0.0
+        material, spacing = feature.material, feature.spacing * unit if feature.spacing else spacing
+    yield feature, [contour], outline.probe_points(contour, material, spacing), 0.0
 
 
-def _file(feature: File, folder: Path) -> list[Contour]:
+def _file(feature: File, folder: Path) -> list[outline.Contour]:
     path = folder / feature.path
     if path.suffix.lower() == ".dxf":
-        return read_dxf_outline(path, _UNITS[feature.unit] if feature.unit else None, feature.layer)
+        return outline.read_dxf_outline(path, _UNITS[feature.unit] if feature.unit else None, feature.layer)
     if path.suffix.lower() == ".csv":
         if feature.unit is None:
             raise SessionError(
                 f"{path}: a CSV outline does not say its unit; say unit (mm, m or inch; on the command line --unit)"
             )
-        return read_csv_outline(path, _UNITS[feature.unit], closed=feature.closed)
+        return outline.read_csv_outline(path, _UNITS[feature.unit], closed=feature.closed)
     raise SessionError(f"{path}: outlines are read from .dxf and .csv files")
 
 
-def _numbered(found: list[tuple[str, Touched]]) -> Iterator[WorkpiecePoint]:
+def _numbered(found: list[tuple[str, outline.Touched]]) -> Iterator[WorkpiecePoint]:
     number = 0
     for name, touched in found:
         for position, normal in zip(touched.position, touched.normal, strict=True):
