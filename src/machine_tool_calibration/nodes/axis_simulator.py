@@ -36,7 +36,7 @@ class AxisSimulator(ManagedNode):
     def activate(self) -> None:
         """See `ManagedNode`."""
         travel = self.site.travel
-        rotary = {axis.lower() for axis in self.site.chain.rotary}
+        rotary = {axis.lower() for axis in self.site.machine.chain.rotary}
         self.limits = {name: self._rotary_limits if name in rotary else self._linear_limits for name in travel}
         self._names = sorted(travel, key="xyzabc".index)
         home = {name: min(max(0.0, low), high) for name, (low, high) in travel.items()}
@@ -60,7 +60,7 @@ class AxisSimulator(ManagedNode):
             self,
             "axes",
             publisher=self.create_publisher(DiagnosticArray, "axes/status", messages.STATE),
-            hardware_id=f"simulated machine {self.site.chain}",
+            hardware_id=f"simulated machine {self.site.machine.chain}",
             clock=self._now,
         )
         self._executed = self.create_publisher(JointTrajectory, "axes/executed", messages.STATE)

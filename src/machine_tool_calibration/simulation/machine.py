@@ -107,14 +107,12 @@ class VirtualMachine:
         self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
     ) -> Array:
         """(n, 3) `position` counted from where the functional point is with all axes at zero, m."""
-        point: Array = self.position(command, shift, errors) - np.asarray(self.tool_offset)
-        return point
+        return np.asarray(self.position(command, shift, errors) - np.asarray(self.tool_offset))
 
     def position_error(self, command: Array) -> Array:
         """Actual minus commanded position of the functional point, (n, 3), m."""
         at = np.atleast_2d(np.asarray(command, float))
-        error: Array = self.functional_point(at) - at
-        return error
+        return np.asarray(self.functional_point(at) - at)
 
     def tool_rotation(self, command: Array, errors: Mapping[str, Array] | None = None) -> Array:
         """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece; `errors` as above."""
@@ -154,14 +152,12 @@ class VirtualMachine:
             error = self.motions[axis](angle)
             q = rotate(q, error[:, 3:]) + error[:, :3]
         tilt = _of_axis(self.average_line, "ABC", axis)
-        placed: Array = (rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis)
-        return placed
+        return np.asarray((rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis))
 
     def table_direction(self, vector: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
         """A direction fixed to the table, (n, 3) or (3,), as it really lies in the machine frame, (n, 3)."""
         origin = self.on_table(np.zeros(3), angle, axis, shift)
-        turned: Array = self.on_table(vector, angle, axis, shift) - origin
-        return turned
+        return np.asarray(self.on_table(vector, angle, axis, shift) - origin)
 
     def with_errors(self, tables: Iterable[tuple[str, Table]], squareness: Mapping[str, float]) -> VirtualMachine:
         """The same machine with further error motions (`EXX`, table) and squareness errors, rad, added."""

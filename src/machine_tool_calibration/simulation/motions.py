@@ -82,8 +82,7 @@ class Table:
         low, high = self.nodes[0], self.nodes[-1]
         x = low + np.mod(x - low, high - low) if self.interpolation == "periodic" else np.clip(x, low, high)
         nodes = np.asarray(self.nodes, float)
-        values: Array = _value(nodes, _pieces(nodes, np.array([self.values]).T, self.interpolation), x)[..., 0]
-        return values
+        return np.asarray(_value(nodes, _pieces(nodes, np.array([self.values]).T, self.interpolation), x)[..., 0])
 
 
 def _pieces(nodes: Array, values: Array, interpolation: Interpolation) -> Array:
@@ -113,8 +112,8 @@ def _value(breaks: Array, pieces: Array, x: Array) -> Array:
     """(…, m) piecewise polynomials (4, k - 1, m) at positions (…) between their breaks (k,)."""
     index = np.minimum(np.searchsorted(breaks, x, side="right") - 1, len(breaks) - 2)
     step = (x - breaks[index])[..., None]
-    values: Array = ((pieces[0, index] * step + pieces[1, index]) * step + pieces[2, index]) * step + pieces[3, index]
-    return values
+    cube, square, first, value = pieces[:, index]
+    return np.asarray(((cube * step + square) * step + first) * step + value)
 
 
 @dataclass(frozen=True)

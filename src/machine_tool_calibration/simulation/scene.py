@@ -128,8 +128,7 @@ class Scene:
             return self.time - self.start
         first = np.full(int(self.setup.max(initial=-1)) + 1, np.inf)
         np.minimum.at(first, self.setup, self.time)
-        since: Array = self.time - first[self.setup]
-        return since
+        return np.asarray(self.time - first[self.setup])
 
 
 def last_direction(command: Array, initial: float = 1.0) -> Array:

@@ -17,8 +17,7 @@ def mirror_path(source: Array, beam: Array, mirror: Array, normal: Array) -> Arr
     """
     line = np.einsum("...i,...i->...", np.broadcast_to(normal, np.shape(mirror)), mirror - source)
     slope = np.einsum("...i,...i->...", *np.broadcast_arrays(normal, beam))
-    length: Array = line / slope
-    return length
+    return np.asarray(line / slope)
 
 
 def across(beam: Array) -> tuple[Array, Array]:
@@ -33,8 +32,7 @@ def tilted(beam: Array, tilt: Array) -> Array:
     """(n, 3) normals tilted off a beam (n, 3) by the two parts of `tilt` (n, 2), rad, towards `across(beam)`."""
     first, second = across(beam)
     normal = beam + tilt[..., :1] * first + tilt[..., 1:] * second
-    unit: Array = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-    return unit
+    return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
 
 
 def aim(station: Array, target: Array, dimension: int = 3) -> tuple[Array, Array]:
@@ -58,15 +56,13 @@ def beam_direction(azimuth: Array, elevation: Array) -> Array:
 
 def sensed_path(target: Array, origin: Array, direction: Array) -> Array:
     """(n,) path from `origin` (n, 3) along `direction` (n, 3) that a retroreflector at `target` returns, m."""
-    path: Array = np.einsum("...i,...i->...", np.asarray(target, float) - origin, direction)
-    return path
+    return np.asarray(np.einsum("...i,...i->...", np.asarray(target, float) - origin, direction))
 
 
 def distance(target: Array, origin: Array) -> Array:
     """(n,) distance, m: the path of a beam that follows the target."""
     line = np.asarray(target, float) - origin
-    length: Array = np.sqrt(np.einsum("...i,...i->...", line, line))
-    return length
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", line, line)))
 
 
 class Pointer(Record):
@@ -128,5 +124,4 @@ def probed(
     root = np.sqrt(np.maximum(b * b - c, 0.0))
     # the root near zero of s^2 + 2 b s + c = 0, without the loss of digits of -b + root
     curved = -c / (b + np.copysign(root, b))
-    touched: Array = np.where(flat, plane, curved)
-    return touched
+    return np.asarray(np.where(flat, plane, curved))

@@ -19,7 +19,6 @@ from pydantic import Field
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import NominalTouch, Part
-from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.checks.nominal_geometry import nominal_points
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
@@ -174,21 +173,16 @@ class Site(LiveMachine):
         """Standard deviation of a captured reading, m."""
         return _NOISE if self.spec.noise is None else self.spec.noise
 
-    @property
-    def chain(self) -> Chain:
-        """The machine's chain."""
-        return self.machine.chain
-
     @cached_property
     def travel(self) -> dict[str, tuple[float, float]]:
         """Lower and upper end of each axis, by its small letter, m or rad."""
         ends = {axis.lower(): limits for axis, limits in self.machine.travel.items()}
-        return {axis.lower(): ends.get(axis.lower(), _TURNS) for axis in self.chain.axes}
+        return {axis.lower(): ends.get(axis.lower(), _TURNS) for axis in self.machine.chain.axes}
 
     @cached_property
     def table_axis(self) -> str:
         """Letter of the rotary axis that carries the workpiece; empty if there is none."""
-        return next((axis for axis in self.chain.workpiece_side if axis in "ABC"), "")
+        return next((axis for axis in self.machine.chain.workpiece_side if axis in "ABC"), "")
 
     def sensed(self, time: float) -> dict[str, float]:
         """What the sensors of the environment show, by column name."""
