@@ -52,8 +52,7 @@ def template_of(instrument: str) -> tuple[Contributor, ...]:
 def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
     """The contributors that sessions state themselves, else those of their instruments' budgets to begin with.
 
-    A ModelError if a session states none and there is none for its instrument, or it does not name that; or sessions of
-    one instrument state different ones.
+    A ModelError: a session states none and its instrument has none or is not named, or those of one instrument differ.
     """
     each: dict[str | None, tuple[Contributor, ...]] = {}
     for session in sessions:

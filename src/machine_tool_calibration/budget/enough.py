@@ -114,8 +114,7 @@ def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], b
 def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
     """What a session told after each of its setups, in the order of its readings.
 
-    All that the whole session determines has to be determined before its U counts; what it does not allow at all, such
-    as a model that there is not, is refused.
+    All that the whole session determines has to be determined before its U counts; what it does not allow is refused.
     """
     wanted = determined(chosen)
     for part in parts(chosen.sessions[0]):

@@ -201,8 +201,7 @@ def propagate(
 ) -> Budget:
     """The uncertainty of everything that is published, from contributors to the readings.
 
-    With a Monte Carlo check of so many draws beside it (JCGM 101), or without one. A ModelError: more draws than
-    memory holds.
+    With so many `draws` of a Monte Carlo check (JCGM 101) beside it; a ModelError: more than memory holds.
     """
     return _Propagation(fitted, contributors, seed, progress).budget(draws)
 

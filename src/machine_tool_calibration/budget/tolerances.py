@@ -47,8 +47,7 @@ def read_tolerances(path: Path) -> dict[str, float]:
 def tolerance(name: str, value: float | str, source: str = "") -> float:
     """A tolerance in m or rad, from a number of these or a text with its unit; `source` begins a message.
 
-    A SessionError: a text without a unit, or with one of another dimension; a ModelError: neither a number nor a
-    text.
+    A SessionError: a text without a unit, or of another dimension; a ModelError: neither a number nor a text.
     """
     if isinstance(value, bool) or not isinstance(value, str | float | int):
         raise ModelError(f"{source}the tolerance of {name} must be a number or a text with its unit")

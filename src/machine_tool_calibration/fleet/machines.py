@@ -115,9 +115,8 @@ def judged(
 ) -> Machines:
     """Judge all machines of a logbook by their entries, and by diagnoses by the SHA-256 of the session.
 
-    Limits that sizes should keep, by name, m or rad, are for every machine that has such a size; `largest_u` is the U
-    (95 %) of a length beyond which a machine needs attention, m. A ModelError: a limit for what is in no entry, or in
-    another unit.
+    Limits of sizes by name, m or rad, are for every machine that has such a size; `largest_u` is the U (95 %) of a
+    length beyond which a machine needs attention, m. A ModelError as for `trend`.
     """
     names = {size.name for entry in entries for size in entry.sizes}
     for name in limits or {}:

@@ -83,9 +83,8 @@ def identified(place: Place, fit: Fitting) -> Identified:
 def evaluated(place: Place, fit: Fitting) -> Evaluated:
     """Identify and diagnose a session.
 
-    Machine and date are those of `about` in `session.yaml`; what it does not say of them is taken from the names of the
-    folders where these are MACHINE/DATE. A CalibrationError as for `identified`, or nothing says which machine it is,
-    or when it was measured.
+    Machine and date are those of `about`, else those of folders named MACHINE/DATE. A CalibrationError as for
+    `identified`, or nothing says which machine it is, or when it was measured.
     """
     found = fit(place.path)
     session = found.measurement.sessions[0]

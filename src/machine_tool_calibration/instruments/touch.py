@@ -2,8 +2,7 @@
 """A touch of a touch-trigger probe: where it begins, which point it is meant for, and whether it counts.
 
 The stylus sphere stands off the surface, approaches along minus the outward normal, triggers and backs off. Axis
-positions are those of the sphere's centre; the probed displacement is counted along the outward normal from where the
-centre would be at the nominal surface.
+positions are those of its centre; the probed displacement counts outwards from the centre at the nominal surface.
 """
 
 from collections.abc import Mapping

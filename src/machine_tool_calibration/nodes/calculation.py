@@ -50,10 +50,9 @@ _SURE, _UNSURE = (0.85, 0.15, 0.1), (0.55, 0.55, 0.55)
 def axis_cloud(stamp: int, result: Result) -> PointCloud2:
     """The error motions of each linear axis, one row for each node.
 
-    Fields, all float64: `axis` (0 X, 1 Y, 2 Z), `position` (m), `EX EY EZ` (m) and `EA EB EC` (rad) of that axis
-    there, and their standard uncertainties `uX … uC`; NaN where not determined. A row whose position is NaN holds the
-    squareness of that axis against those before it: EC of Y is C0Y, EB of Z is B0Z, EA of Z is A0Z. No rows: the result
-    has no tables.
+    Fields, all float64: `axis` (0 X, 1 Y, 2 Z), `position` (m), `EX EY EZ` (m) and `EA EB EC` (rad) there, and their
+    standard uncertainties `uX … uC`; NaN where not determined. A row whose position is NaN holds the squareness of that
+    axis against those before it: EC of Y is C0Y, EB of Z is B0Z, EA of Z is A0Z. No rows: no tables.
     """
     try:
         tables = axis_tables(result)
@@ -83,8 +82,7 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
     """The position errors as arrows, magnified; grey where the error is within its U (95 %).
 
     At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
-    one says in words how much is magnified (0 chooses a round number). A direction that is not determined counts as
-    zero. `stamp`: ROS time, ns.
+    one says how much is magnified (0: a round number). A direction that is not determined counts as zero.
     """
     known = np.isfinite(error_map.error)
     some = np.flatnonzero(known.any(axis=1))

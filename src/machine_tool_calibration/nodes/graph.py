@@ -290,9 +290,8 @@ def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
 def _claim(domain: str) -> socket.socket | None:
     """A socket that holds a name which only one program can hold; None if another has it.
 
-    The name is in the kernel and not in a folder: it is the same for every user, reaches as far as the network on which
-    graphs would meet (a container with a network of its own has names of its own), and goes with its program. A
-    CalibrationError: the system gives no such name at all.
+    The name is in the kernel: it is the same for every user, reaches as far as the network on which graphs would meet
+    (a container has names of its own), and goes with its program. A CalibrationError: the system gives no such name.
     """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `player`: publishes what a bag holds, at its pace or any other.
 
-Messages are published as they are stored, without being decoded. What was latched is latched again. The last
-publication of a topic is waited for before its queue would overflow, so a reliable subscriber loses nothing at full
-speed either.
+Messages are published as they are stored, without being decoded. What was latched is latched again. A topic's last
+publication is waited for before its queue would overflow: a reliable subscriber loses nothing at full speed.
 """
 
 import time
@@ -27,8 +26,7 @@ from machine_tool_calibration.recording.reader import BagReader, Message
 class Pace:
     """A clock that runs at any rate (s of the bag per s; 0 is as fast as possible), stops, goes on and can be set.
 
-    It starts at that time in the bag, ns, and begins to run at that of a clock that never jumps, ns; until then nothing
-    is due.
+    It starts at a time in the bag, ns, and runs from that of a clock that never jumps, ns; until then nothing is due.
     """
 
     def __init__(self, rate: float, start: int, begin: int, *, paused: bool = False) -> None:

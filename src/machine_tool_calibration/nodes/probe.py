@@ -3,10 +3,8 @@
 
 On `instrument/capture` the stylus, standing off a point's surface, approaches along minus the outward normal at a set
 speed, triggers, and backs off to where it stood. The axes' positions at the trigger are latched and published; the
-answer is the probed displacement along the outward normal. A missed touch and one that comes too early are tried again,
-then reported, and answered with no number, so that the reading counts as missing.
-
-The readings are absolute: there is no datum to be set.
+answer is the probed displacement along the outward normal, absolute: there is no datum to be set. A missed touch and
+one that comes too early are tried again, then reported, and answered with no number: the reading counts as missing.
 """
 
 from collections.abc import Mapping

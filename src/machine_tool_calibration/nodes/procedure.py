@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs a measurement procedure: commands the axes and the pointer, takes readings and publishes them.
 
-Each is published with the commands and the environment that it belongs to.
-
-What happens next is decided by `procedure.sequencer`; this node carries messages. It starts, pauses, resumes and aborts
-on request, and states what it waits for. Deadlines run on the wall clock, so that a partner that has died ends in a
-clear state in simulated time too.
+Each is published with its commands and environment. What happens next is decided by `procedure.sequencer`; this node
+carries messages. It starts, pauses, resumes and aborts on request, and states what it waits for. Deadlines run on the
+wall clock, so that a partner that has died ends in a clear state in simulated time too.
 """
 
 import math

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated rotary pointer of an open-loop tracking interferometer.
 
-Points the beam from the *estimated* station at the *commanded* target (Ibaraki et al. 2014, Eq. (1), four quadrants,
-with elevation in three dimensions). The estimated stations are those of the latched `session`; which one is meant, the
-command says. Where the beam really goes (true station, zero offsets, radial error motion) is seen by the simulated
-instrument only.
+Points the beam from the *estimated* station of the latched `session` at the *commanded* target (Ibaraki et al. 2014,
+Eq. (1), four quadrants, with elevation in three dimensions); the command says from which. Where the beam really goes
+(true station, zero offsets, radial error motion) is seen by the simulated instrument only.
 """
 
 import math

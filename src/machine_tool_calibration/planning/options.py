@@ -71,9 +71,8 @@ class Option(Proposal):
 def mounted_again(session: Session, rows: IntArray) -> tuple[Description, IntArray, str]:
     """The setups of some readings made again: their description, which takes each one's place, what comes on top.
 
-    An instrument that goes from station to station, or a mirror from diagonal to diagonal, has to be mounted again for
-    any further reading: then the setup's unknowns are new ones. A part on the rotary table stays where it is. What
-    comes on top is of the measuring time, in words.
+    An instrument that goes from station to station, or a mirror from diagonal to diagonal, is mounted again for any
+    further reading: the setup's unknowns are new ones. A part on the rotary table stays. What comes on top is in words.
     """
     description = session.description
     mounted = spec_of(session).mounted(description)

@@ -190,8 +190,7 @@ def sense(
 
     Effects that cannot act are left out; those `present` in the model take the place of those chosen by name. The new
     readings, of whose displacements only the rough size matters, are those from `first_row` of the session `at`; in
-    them the part in which an effect sits is `turned` by its angle about Z, rad. A ModelError if the readings do not
-    allow the model.
+    them an effect's part is `turned` by its angle about Z, rad. A ModelError if the readings do not allow the model.
     """
     chosen = replace(FitRequest.of(subject), effects=())
     several = len(chosen.sessions) > 1

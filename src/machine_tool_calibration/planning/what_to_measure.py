@@ -177,8 +177,7 @@ _NONE_DISTINGUISHES = "none of the further measurements that were considered dis
 def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None] = lambda what, share: None) -> Advice:
     """Try further measurements that the user can make, on paper, and propose the best.
 
-    Every proposal is added to the session as readings without values; what they sense of each effect outside the
-    model's freedom follows from geometry alone.
+    Each is added to the session as readings without values; what they sense of effects follows from geometry alone.
     """
     assumed, present = assumed_effects(diagnosis), present_effects(diagnosis)
     chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels

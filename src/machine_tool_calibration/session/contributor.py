@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A contributor to the measurement uncertainty: one line of a budget.
 
-Words as in the GUM (JCGM 100): type A or B, distribution, standard or expanded uncertainty, degrees of freedom. How a
-contributor enters the readings, and which readings share one value of it, are the two questions that decide what it
-does to a result.
+Words as in the GUM (JCGM 100): type A or B, distribution, standard or expanded uncertainty, degrees of freedom. How it
+enters the readings, and which of them share one value of it, decide what it does to a result.
 """
 
 from __future__ import annotations

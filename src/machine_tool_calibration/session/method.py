@@ -99,8 +99,7 @@ class MethodSpec:
     def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
         """Refuse (SessionError) a session of which no model of the method can make anything.
 
-        Some setup must have readings enough of those that are `measured` (n,); what was lost in others is named
-        by the estimator.
+        Some setup must have enough of the readings that are `measured` (n,); losses in others the estimator names.
         """
         import numpy as np  # a history is listed without it
 

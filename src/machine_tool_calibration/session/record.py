@@ -56,9 +56,8 @@ def first_defect(
 ) -> str:
     """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing.
 
-    `source` names the file, or what else was read; without the `document` no line is named. The `record` tells what a
-    misspelt key may have meant; `unnamed` are parts of a defect's place that pydantic puts in and that are no keys,
-    such as names of variants, beside those of its functions.
+    `source` names what was read, the `document` its lines, if there is one; the `record` tells what a misspelt key may
+    have meant. `unnamed` are parts of a defect's place that are no keys but pydantic's, such as names of variants.
     """
     order = ("extra_forbidden", "missing")
     defects = error.errors(include_url=False)

@@ -25,8 +25,7 @@ class SimulatedSource:
     """Exact geometry, noise, and a beam that can be lost.
 
     `origin` is the ROS time at which the site's is zero, ns; the stream has a rate, Hz, and each sample a noise of its
-    own, m (standard deviation). So many true positions are kept; two are enough where there is no stream between the
-    readings.
+    own, m (standard deviation). `keep` true positions are kept; two will do without a stream between the readings.
     """
 
     def __init__(self, site: Site, origin: int, rate: float, sample_noise: float, keep: int = 4000) -> None:

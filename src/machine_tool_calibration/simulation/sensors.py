@@ -38,8 +38,7 @@ def tilted(beam: Array, tilt: Array) -> Array:
 def aim(station: Array, target: Array, dimension: int = 3) -> tuple[Array, Array]:
     """Commanded (n,) azimuth from +X towards +Y in (-pi, pi], and (n,) elevation towards +Z, rad, of the beam.
 
-    From the estimated rotation centre (n, 3) to the commanded target (n, 3), m; a pointer in the plane (dimension 2)
-    has no elevation.
+    From estimated rotation centres (n, 3) to commanded targets (n, 3), m; in the plane (dimension 2) without elevation.
     """
     line = np.asarray(target, float) - np.asarray(station, float)
     azimuth = np.arctan2(line[..., 1], line[..., 0])

@@ -66,8 +66,7 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
     """The session of a spec; the same spec gives the same numbers.
 
     `machine` is one for several measurements, in place of the spec's own; `extra` flaws are in no list. A
-    CalibrationError: an effect that does not exist or does not occur in this method, a machine that does not fit the
-    plan.
+    CalibrationError: an effect that does not exist or occur in this method, a machine that does not fit the plan.
     """
     children = np.random.SeedSequence(spec.seed).spawn(len(_STREAMS))
     rng = {name: np.random.default_rng(child) for name, child in zip(_STREAMS, children, strict=True)}

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated workshop behind the nodes: one description (YAML), shared by all simulating nodes.
 
-Every quantity is a pure function of what is passed in, so that separate processes see the same world, and a process
-that restarts sees it again. What is random (the machine's errors, the environment, where the stations really are) comes
-from the seed.
+Every quantity is a pure function of what is passed in, so that separate processes, or one that restarts, see the same
+world. What is random (the machine's errors, the environment, where the stations really are) comes from the seed.
 """
 
 from collections.abc import Iterable, Mapping
@@ -278,8 +277,7 @@ class SimulatedPart:
     def trigger(self, touch: NominalTouch, c: float, z: float, time: float, setup: int) -> float:
         """Displacement at which the probe triggers, along the outward normal from the nominal surface, m.
 
-        Of a touch as planned, at a commanded angle c, rad, and height z, m, `time` after the origin of the site's time,
-        s.
+        Of a touch as planned, at a commanded c, rad, and height z, m, `time` after the origin of the site's time, s.
         """
         normal, own = np.array([[*touch.normal, 0.0]]), [touch.point]
         direction = {axis: -1.0 if way > 0 else 1.0 for axis, way in zip("XY", touch.normal, strict=True)}

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A machine's logbook: every session that was measured on it, with its result, in the order of entering.
 
-It is one SQLite file. A folder of sessions would do for reading, but a file can be copied and handed over whole, an
-entry is in it wholly or not at all, also where two programs enter at once or one is killed, and the database itself
-refuses to change what was entered: triggers end every UPDATE and DELETE. Any program for SQLite reads it; the result
-and the sizes are JSON, description and readings the text of `session.yaml` and `observations.csv`, whose SHA-256, one
-after the other, is the entry's.
+It is one SQLite file, which can be copied and handed over whole. An entry is in it wholly or not at all, also where two
+programs enter at once or one is killed, and triggers end every UPDATE and DELETE of what was entered. Any program for
+SQLite reads it; the result and the sizes are JSON, description and readings the text of `session.yaml` and
+`observations.csv`, whose SHA-256, one after the other, is the entry's.
 """
 
 import datetime

@@ -145,9 +145,8 @@ def _reason(error: Exception) -> str:
 class LineSplitter:
     """Cuts a stream of bytes into lines at a terminator.
 
-    A line that is longer than `max_length` is dropped up to its end and handed out cut, so that it can be counted. With
-    `skip_first` the first line is dropped: a stream is joined in the middle of a line, and the end of a number is a
-    number too.
+    A line longer than `max_length` is dropped up to its end and handed out cut, so that it can be counted. With
+    `skip_first` the first is dropped: a stream is joined in the middle of a line, and the end of a number is one too.
     """
 
     def __init__(self, terminator: bytes, max_length: int, *, skip_first: bool) -> None:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of messages that all nodes need: quality of service, stamps, status, trajectories, point clouds.
 
-What a node says of itself is latched on a topic of its own, and stands once a second on `/diagnostics`, by the
-convention of `diagnostic_updater` (REP 107): an entry named `<node>: <what>`, again and again, so that an aggregator
-notices a node that has fallen silent.
+What a node says of itself is latched on a topic of its own, and stands once a second on `/diagnostics` as of
+`diagnostic_updater` (REP 107), named `<node>: <what>`, so that an aggregator notices a node that has fallen silent.
 """
 
 import math

@@ -217,10 +217,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
 
     *Unconfigured* it has its parameters, which can be set. *Inactive* it has read what they name (files, a device) and
     is in nobody's way. *Active* it takes part in the graph: only then it has its topics, services and timers, so that
-    nothing that was latched is heard, and lost, before anything is done with it. Whoever deactivates a node and
-    activates it again has one that begins anew.
-
-    Its name is its module's, where it is given no other.
+    nothing latched is heard, and lost, too early; activated again it begins anew. Its name is its module's by default.
     """
 
     def __init__(self) -> None:

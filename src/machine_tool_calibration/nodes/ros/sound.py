@@ -30,9 +30,8 @@ _Check = Callable[[Any], str]
 def require_sound(message: Any) -> None:
     """Refuse a message that has no meaning, whatever its topic is.
 
-    Missing values in arrays are NaN, and allowed. A CalibrationError: a stamp that is no time, a number that is not
-    finite or absurdly large, names without values or values without names, a rotation that is none, or far more than
-    any message of the graph holds.
+    Missing values in arrays are NaN, and allowed. A CalibrationError: a stamp that is no time, a number not finite or
+    absurdly large, names without values or the reverse, a rotation that is none, or more than any message holds.
     """
     if fault := _fault(message):
         raise CalibrationError(fault.lstrip(". "))

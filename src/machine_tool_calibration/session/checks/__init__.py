@@ -20,11 +20,10 @@ _TOLD_BY_TIME = 0.4
 def check_session(session: Session, place: Place | None = None) -> None:
     """Refuse (SessionError) a session that cannot be right or is not enough for its method.
 
-    Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
-    times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
-    targets and readings that the method needs (`MethodSpec.enough`); readings that contradict the nominal geometry
-    while a common mistake would explain them (`check_consistency`), or by more than can be
-    (`refuse_contradictions`).
+    Checked are: values that are missing where a displacement was read; numbers beyond all measure; times that run
+    backwards; a reading that stands there twice; wrong units; stations, targets and readings that the method needs
+    (`MethodSpec.enough`); readings that contradict the nominal geometry while a common mistake would explain them, or
+    by more than can be.
     """
     place = place or Place(session.source, session.source)
     _check_missing(session, place)

@@ -148,8 +148,7 @@ Expected = Callable[[Session], Iterable[Held]]
 def refuse_contradictions(session: Session, place: Place, expected: Expected | None = None) -> None:
     """Refuse readings (all are there) that contradict what the session states, or what else is `expected`.
 
-    A SessionError names the setup, the worst row, by how much it is off what, how many others are, and what is
-    likelier meant.
+    A SessionError names setup, worst row, by how much it is off what, how many others are, and what is likelier meant.
     """
     with np.errstate(all="ignore"):
         _refuse(session, place, expected or spec_of(session).held)
