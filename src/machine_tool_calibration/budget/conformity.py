@@ -37,12 +37,9 @@ RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
 VOLUMETRIC = "volumetric"
 """The volumetric error: the largest length of the position error over the points of the map, in its datum."""
 
-# Draws that carry the correlations of the map's values, and of the values with these correlations.
-_SAMPLES, _DRAWS = 150, 10_000
-# Numbers at once, and standard uncertainties beyond which a value cannot be.
-_NUMBERS, _BEYOND = 2_000_000, 6.0
-# Part of a range by which two that are one may differ.
-_SAME_RANGE = 1e-6
+_SAMPLES, _DRAWS = 150, 10_000  # draws that carry the map's correlations, and of values with these
+_NUMBERS, _BEYOND = 2_000_000, 6.0  # numbers at once, and standard uncertainties beyond which a value cannot be
+_SAME_RANGE = 1e-6  # part of a range by which two that are one may differ
 
 
 @dataclass(frozen=True)
@@ -54,8 +51,7 @@ class Verdict:
     tolerance: float  # largest value, or largest absolute value of what has a sign
     value: float  # measured; NaN where it is not determined
     u: float  # half the expanded uncertainty for 95.45 %
-    # of conformity; NaN where it is not determined, or its uncertainty is not complete or does not hold
-    probability: float
+    probability: float  # of conformity; NaN where not determined, or its uncertainty is not complete or does not hold
     decision: str  # pass, fail, undecided or `not determined`
     why: str = ""  # what is not determined and why, or what its uncertainty lacks or rests on; empty otherwise
 

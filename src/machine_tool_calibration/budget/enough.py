@@ -17,8 +17,7 @@ from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.session.session import Session
 
-# Probabilities from which an effect counts as there, and up to which as not there.
-_THERE, _ABSENT = 0.95, 0.05
+_THERE, _ABSENT = 0.95, 0.05  # probabilities from which an effect counts as there, and up to which as not there
 # Share of the largest plausible size that must have been detectable for an effect that is not there.
 _DETECTABLE_SHARE = 0.1
 _ROUNDING = 1e-9
@@ -28,8 +27,7 @@ _ROUNDING = 1e-9
 class Until:
     """What is to be reached."""
 
-    # expanded uncertainty (k = 2) of every coordinate of the map, m; None if it is not asked for
-    u: float | None = None
+    u: float | None = None  # expanded uncertainty (k = 2) of every coordinate of the map, m; None if not asked for
     told: tuple[str, ...] = ()  # effects that are to be found, or not to be there
 
     @classmethod

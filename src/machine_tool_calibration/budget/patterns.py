@@ -19,8 +19,7 @@ from machine_tool_calibration.planning.design import SharedErrors
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import distinct_places
 
-# Values of a contributor beyond which its readings are taken to scatter each by itself.
-_MOST_VALUES = 200
+_MOST_VALUES = 200  # values of a contributor beyond which its readings are taken to scatter each by itself
 
 
 def shared_errors(observed: Observations) -> SharedErrors | None:

@@ -37,8 +37,7 @@ _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 class Quantity:
     """Numbers that are published under one name."""
 
-    # `position_error`, an error motion, a squareness, a figure of ISO 230-2 with its axis (`A_X`), an unknown
-    name: str
+    name: str  # `position_error`, an error motion, a squareness, a figure of ISO 230-2 with its axis, an unknown
     unit: str  # m, rad or another one of SI
     first: int  # place of its first number in the vector
     count: int  # of its numbers

@@ -30,8 +30,7 @@ _SWIFT = {
 }  # fmt: skip
 # How long a scheduler may take to answer.
 _PATIENCE = "10s"
-# Seconds between two looks whether processes of this machine are gone for good.
-_LOOK = 2.0
+_LOOK = 2.0  # seconds between two looks whether processes of this machine are gone for good
 # Of processes of this machine. What dies is told in the answer, and not in lines between those of the progress.
 _LOCAL: dict[str, Any] = {
     "threads_per_worker": 1,

@@ -19,8 +19,7 @@ from machine_tool_calibration.words import Said, Verbatim, enumeration, say, tog
 
 # Sentences of a trend that tell why a machine needs attention.
 _ALARMING = ("trend.says_jump", "trend.says_drift", "trend.says_exceeded", "trend.says_open")
-# Sentences and machines that a line names.
-_MOST_SENTENCES, _NAMED = 3, 8
+_MOST_SENTENCES, _NAMED = 3, 8  # sentences and machines that a line names
 
 
 def identified_table(done: Sequence[Done[Place, Identified]]) -> TextTable:

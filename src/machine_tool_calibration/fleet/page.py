@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Machines whose changes are drawn, and numbers of each.
-_DRAWN, _NUMBERS = 12, 3
+_DRAWN, _NUMBERS = 12, 3  # machines whose changes are drawn, and numbers of each
 
 
 def write_page(fleet: Machines, book: Path, file: Path, words: Words) -> Path:

@@ -16,8 +16,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.nominal_geometry import nominal_points, turned
 from machine_tool_calibration.session.description import Probing
 
-# How far beside a point's normal the axes may stand for the touch to be meant for it, m.
-_FARTHEST_BESIDE = 1e-5
+_FARTHEST_BESIDE = 1e-5  # how far beside a point's normal the axes may stand for the touch to be meant for it, m
 _FARTHEST = 0.02  # m from the surface: where a touch may begin
 SEARCH = 1e-3  # m beyond the nominal surface: so far the sphere goes at most
 _EARLY = 1e-3  # m outside of it: a trigger farther out is not of this surface

@@ -248,8 +248,7 @@ def managed_nodes(
     return [listener(name) if name in LISTENERS else node(name, values, on_exit) for name, values in parameters.items()]
 
 
-# larger ones need ports that the system gives to outgoing connections
-_IDS = range(0, 102)
+_IDS = range(0, 102)  # larger ones need ports that the system gives to outgoing connections
 
 
 @contextmanager

@@ -25,13 +25,11 @@ from machine_tool_calibration.procedure.description import Procedure
 
 Progress = Callable[[str, float], object]
 
-# Share of the work that the search takes.
-_SEARCH = 0.7
+_SEARCH = 0.7  # share of the work that the search takes
 # Share of the uncertainty wanted that a plan is to come to: what does not reproduce between setups is looked for in
 # every measurement, and widens U by a sixth where there is none.
 _MARGIN = 0.85
-# Share of its largest plausible size to which an effect's size is to be known (k = 1).
-_SIZE = 0.02
+_SIZE = 0.02  # share of its largest plausible size to which an effect's size is to be known (k = 1)
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,9 @@ from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.model.fit import JointFit, declared
 from machine_tool_calibration.model.model import Kind
 
-# Change of an unknown by which what is published is differentiated; it is linear in the unknowns but for rounding.
-_STEP = 1e-6
-# Share of a point's largest eigenvalue of its information below which the readings do not fix it.
-_FIXED = 1e-9
-# Variance beside that with every candidate above which a number counts as not determined.
-_LOST = 1e10
+_STEP = 1e-6  # change of an unknown by which what is published, which is linear, is differentiated
+_FIXED = 1e-9  # share of a point's largest eigenvalue of its information below which the readings do not fix it
+_LOST = 1e10  # variance beside that with every candidate above which a number counts as not determined
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,7 @@ class Dominant:
     shares: dict[str, float]  # of its variance, by cause
     angular: float  # size of the angular errors that was assumed, rad; 0 where the model has none
     drift: float  # rate that was assumed, m/s; 0 where no time was recorded
-    # the uncertainty after the same measurement once more, m; None if that was not asked for
-    again: float | None = None
+    again: float | None = None  # the uncertainty after the same measurement once more, m; None if not asked for
     # measurements that are clearly better than that, the best first; none where the readings' own scatter dominates
     remedies: tuple[Remedy, ...] = ()
 

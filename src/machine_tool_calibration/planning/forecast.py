@@ -34,8 +34,7 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Readings, Session
 
-# Numbers in the columns of effects that are kept in memory at a time.
-_HELD = 8_000_000
+_HELD = 8_000_000  # numbers in the columns of effects that are kept in memory at a time
 
 
 @dataclass(frozen=True)
@@ -131,8 +130,7 @@ _SEED = 0
 # How fast machine, table and workpiece follow the air.
 _FOLLOWS = {"air": 1.0, "x": 0.7, "y": 0.6, "z": 0.5, "table": 0.4, "work": 0.8}
 _OFF = 0.5  # K above 20 degrees Celsius at the start
-# More than a day of stops of a second each; ten seconds of computing and less than a gigabyte.
-_MOST_READINGS = 100_000
+_MOST_READINGS = 100_000  # more than a day of stops of a second each; ten seconds of computing and less than a gigabyte
 
 
 @dataclass(frozen=True)
@@ -243,8 +241,7 @@ class Forecast:
     absorbed: tuple[str, ...]  # effects that the model takes up
     excluded: Mapping[str, str]  # effects that cannot act here, with the reason
     warming: float  # K per hour that was assumed
-    # what will dominate the map's uncertainty, with angular errors and a drift of the sizes assumed
-    dominant: Dominant | None = None
+    dominant: Dominant | None = None  # what will dominate the map's uncertainty by the sizes assumed
 
     def document(self) -> dict[str, Any]:
         """For programs."""

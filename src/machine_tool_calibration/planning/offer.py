@@ -17,8 +17,7 @@ from machine_tool_calibration.procedure.steps import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
 from machine_tool_calibration.session.text import load_yaml, yaml_text
 
-# Setups, or targets, that are held against each other: more would take hours.
-_MOST_CANDIDATES = 1000
+_MOST_CANDIDATES = 1000  # setups, or targets, that are held against each other: more would take hours
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,7 @@ class Offer:
     content: Mapping[str, Any]
     procedure: Procedure  # the same as a procedure
     choices: Choices  # what is allowed
-    # names of the targets, or of the features of a workpiece; one without a name if there are none
-    targets: tuple[str, ...]
+    targets: tuple[str, ...]  # names of the targets, or a workpiece's features; one without a name if there are none
     always: tuple[int, ...]  # numbers of the targets that every plan has
     present: Choice  # the plan of the procedure as it stands
 

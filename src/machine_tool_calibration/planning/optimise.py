@@ -32,27 +32,19 @@ _MOST_STARTS = 40
 # Share of the readings that must check others: a plan without redundancy hides every mistake.
 _CHECKED = 0.1
 _UNCHECKED = 1e3
-# More than any plan takes, s.
-_LONG = 1e9
-# Starts for each number of setups.
-_TRIES = 3
-# What U counts among plans that take as long.
-_TIE = 1e-3
-# Of the search's first leg: a mean that lies close to the largest value and changes smoothly with all of them.
-_POWER = 8.0
-# What makes a plan better, relative: less is rounding.
-_LEAST_GAIN = 1e-6
-# The same of a time: moves between setups are known only once these are chosen.
-_ROUNDED = 0.01
+_LONG = 1e9  # more than any plan takes, s
+_TRIES = 3  # starts for each number of setups
+_TIE = 1e-3  # what U counts among plans that take as long
+_POWER = 8.0  # of the search's first leg: a mean that is close to the largest value and smooth
+_LEAST_GAIN = 1e-6  # what makes a plan better, relative: less is rounding
+_ROUNDED = 0.01  # the same of a time: moves between setups are known only once these are chosen
 # Share of the time of the procedure as it stands that another plan takes at most, or of its uncertainty where neither
 # comes to what is wanted: the change is to be worth it.
 _WORTH = 0.85
 _BOUND_ROUNDS = 60
 _NODES = 500
-# Share of the way to where the linear program's solution lies.
-_STRIDE = 0.3
-# The bound is good enough within this share of the best plan's variance.
-_CLOSE = 0.01
+_STRIDE = 0.3  # share of the way to where the linear program's solution lies
+_CLOSE = 0.01  # the bound is good enough within this share of the best plan's variance
 # Functions whose variance is at least this share of the largest have tangents; those of the others hardly matter.
 _TANGENT_SHARE = 0.6
 _MOST_TANGENTS = 60

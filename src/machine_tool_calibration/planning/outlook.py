@@ -23,8 +23,7 @@ from machine_tool_calibration.session.session import Readings, Session
 
 # Standard uncertainty of readings that are to say nothing of the machine, m: thousands of times that of an instrument.
 _SILENT_UNCERTAINTY = 1e-3
-# How far one place may be found from itself by other readings, m.
-_NEAR = 1e-3
+_NEAR = 1e-3  # how far one place may be found from itself by other readings, m
 
 
 @dataclass(frozen=True)

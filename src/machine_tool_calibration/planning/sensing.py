@@ -114,16 +114,14 @@ class SizedEffect:
 
     effect: Effect  # the effect
     shape: tuple[float, ...]  # its nonlinear coefficients
-    # its linear coefficients by name; those of setups that are new take the size of the others
-    size: Mapping[str, float]
+    size: Mapping[str, float]  # its linear coefficients by name; those of new setups take the size of the others
 
 
 @dataclass(frozen=True)
 class Sensed:
     """Effects in a measurement."""
 
-    # (k, k) inner products of their columns with the model projected off, in standard uncertainties squared
-    gram: Array
+    gram: Array  # (k, k) inner products of their columns, the model projected off, in standard uncertainties squared
     squares: Array  # (k,) squared norms before
     place: Mapping[str, slice]  # where the columns of each effect are
     signal: Mapping[str, Array]  # (columns of the effect,) its coefficients

@@ -58,8 +58,7 @@ class Advice:
 
     separations: tuple[Separation, ...] = ()  # to distinguish confounded effects
     visibilities: tuple[Visibility, ...] = ()  # to see effects that hardly show
-    # what dominates the map's uncertainty, and what makes it smaller; None where there is no map
-    dominant: Dominant | None = None
+    dominant: Dominant | None = None  # what dominates the map's uncertainty; None where there is no map
 
 
 def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
@@ -111,10 +110,8 @@ def _shape(
     return None
 
 
-# Share of its norm outside the model below which an effect is hardly visible.
-_HARDLY = 0.1
-# A measurement is worth proposing for an effect if it shows one this much smaller.
-_WORTH = 0.5
+_HARDLY = 0.1  # share of its norm outside the model below which an effect is hardly visible
+_WORTH = 0.5  # a measurement is worth proposing for an effect if it shows one this much smaller
 _MOST_COEFFICIENTS = 3  # of an effect for which a measurement is proposed
 
 

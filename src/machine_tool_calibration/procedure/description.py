@@ -28,8 +28,7 @@ class Choices(Record):
     # for one of a list: every combination is a candidate
     setups: tuple[dict[str, Any], ...] = ()
     targets: tuple[dict[str, Any], ...] = ()  # entries of `session.targets`, written in the same way
-    # features of the workpiece that may be left out; all others are measured in any case
-    features: tuple[str, ...] = ()
+    features: tuple[str, ...] = ()  # features of the workpiece that may be left out; others are measured in any case
     repeats: tuple[_Count, ...] = ()  # how often a setup may be measured; as the session says if absent
     most_setups: _Count | None = None  # no more setups than these; as many as the session has if absent
     # no more targets, or features of those that may be left out; as many as there are if absent
@@ -59,8 +58,7 @@ _MOST_REPEATS = 1000
 
 
 _MAX_POINTS = 1_000_000
-# Names of records: no keys of the file.
-_UNNAMED = ("Spread", "tuple[float, ...]")
+_UNNAMED = ("Spread", "tuple[float, ...]")  # names of records: no keys of the file
 
 
 class Spread(Record):

@@ -64,8 +64,7 @@ class Visit:
 
     step: Step  # the target
     datum: bool  # whether the path is zeroed here
-    # reading that was taken here before the datum was lost, m; NaN for a reading that is still to come
-    revisit: float = math.nan
+    revisit: float = math.nan  # reading taken here before the datum was lost, m; NaN of one still to come
 
 
 @dataclass
@@ -109,8 +108,7 @@ class DatumGroup:
     datum: str = ""  # identity of the datum in force; empty if there is none
     offset: float = 0.0  # added to the instrument's reading, so that it continues the group's first datum, m
     taken: list[tuple[Step, float]] = field(default_factory=list)  # steps and readings so far
-    # old minus new reading of the targets that were measured again
-    differences: list[float] = field(default_factory=list)
+    differences: list[float] = field(default_factory=list)  # old minus new reading of targets measured again
 
 
 @dataclass(frozen=True)

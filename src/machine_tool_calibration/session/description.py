@@ -223,8 +223,7 @@ class Description(Record):
     """What every method says; each adds its `method`, its `setups`, and what else it has to say."""
 
     reads: ClassVar[str | None] = None  # the instrument, unless the session says it
-    # sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z
-    turns: ClassVar[int] = 1
+    turns: ClassVar[int] = 1  # sense in which C turns the workpiece if not said: +1 counter-clockwise from +Z
 
     if TYPE_CHECKING:
         method: str
@@ -324,8 +323,7 @@ class Direct(Description):
     """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others."""
 
     method: Literal["direct"]
-    # what read; effects of air and beam are looked for only where it says that there is a beam
-    instrument: Instrument | None = None
+    instrument: Instrument | None = None  # what read; effects of air and beam are looked for if it has a beam
     datum: Literal["none", "offset", "rigid"] = "none"  # what the instrument leaves open in every setup
     terms: tuple[str, ...] = ()  # the machine errors in the model
     setups: Annotated[tuple[Setup, ...], _SETUPS]

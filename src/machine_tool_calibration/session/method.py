@@ -27,14 +27,11 @@ class MethodSpec:
     description: ClassVar[type[Description]]  # record of what session.yaml says
     # module with `build(session, variant)`, which gives the model, and `error_map(model, fit)`, the machine's errors
     model: ClassVar[str]
-    # names of the model's variants, the default first; for each when it is the right one
-    models: ClassVar[Mapping[str, str]]
+    models: ClassVar[Mapping[str, str]]  # the model's variants, the default first, with when each is the right one
     any_axis: ClassVar[bool] = False  # whether some column of an axis's position is needed, of whichever axis
-    # columns that observations.csv must have, where they do not depend on the description
-    always: ClassVar[tuple[str, ...]] = ()
+    always: ClassVar[tuple[str, ...]] = ()  # columns that observations.csv must have whatever the description
     needed: ClassVar[int] = 1  # readings that some setup must have
-    # what is mounted again between setups, where that does not depend on the description
-    remounted: ClassVar[str] = "the instrument"
+    remounted: ClassVar[str] = "the instrument"  # what is mounted again between setups
     # variant with tables of the machine's error motions, which other sessions can share; the default if absent
     tables: ClassVar[str | None] = None
     alone: ClassVar[tuple[str, ...]] = ()  # variants of which other sessions share nothing
@@ -48,14 +45,12 @@ class MethodSpec:
     # machine's or the part's own, of which the declared uncertainty knows nothing, and the error map holds the
     # displacements by the effects, reading by reading
     reads_machine: ClassVar[bool] = False
-    # whether readings sense a workpiece's surface along its normal, which turns with the table
-    probes_surface: ClassVar[bool] = False
+    probes_surface: ClassVar[bool] = False  # whether readings sense a surface along its normal, turning with the table
     turns_one_axis: ClassVar[bool] = False  # whether a run turns one rotary axis, angle after angle
     # whether a setup states a run, move after move: their order matters even where the directions of approach do not,
     # and a procedure's targets follow from the session
     states_runs: ClassVar[bool] = False
-    # whether readings count from the first one of their run rather than of their setup
-    counts_from_run: ClassVar[bool] = False
+    counts_from_run: ClassVar[bool] = False  # whether readings count from the first of their run, not their setup
     free_order: ClassVar[bool] = False  # whether targets may be visited in any order
 
     steps: ClassVar[str | None] = None  # of a procedure, its steps one reading each

@@ -16,8 +16,7 @@ from machine_tool_calibration.version import __version__
 from machine_tool_calibration.words import say, together
 
 SOFTWARE = "machine_tool_calibration"
-# Figures of a hash that pictures and lines of text show.
-_SHORT = 12
+_SHORT = 12  # figures of a hash that pictures and lines of text show
 
 
 @dataclass(frozen=True)

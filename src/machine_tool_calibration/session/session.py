@@ -221,8 +221,7 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     return np.unique(place, return_index=True)[1], place
 
 
-# Times that begin later, s, count from an epoch: no session lasts twelve days before its first reading.
-_SINCE_AN_EPOCH = 1e6
+_SINCE_AN_EPOCH = 1e6  # times that begin later, s, count from an epoch: no session lasts twelve days before
 
 
 def assemble(

@@ -182,8 +182,7 @@ NUMERIC_COLUMNS = (
 
 _MISSING = ["", "nan", "NaN", "NAN", "Nan"]
 _LONGEST_LABEL = 256
-# Rows from which pandas is faster, its import included.
-_PANDAS_ROWS = 20_000
+_PANDAS_ROWS = 20_000  # rows from which pandas is faster, its import included
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene
 from machine_tool_calibration.simulation.sensors import distance
 
-# Circles of which less than a whole turn is possible leave this much of the arc out at both ends, rad.
-_HALF_ARC = np.radians(110.0)
+_HALF_ARC = np.radians(110.0)  # circles of less than a whole turn are arcs of so much to both sides, rad
 
 
 class CirclePlan(Plan):

@@ -38,8 +38,7 @@ class DiagonalPlan(plan.Plan):
     diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp", "nnp")
     # orders of the single-axis moves; each diagonal is run in each of them
     orders: Annotated[tuple[Order, ...], Field(min_length=1)] = ("xyz",)
-    # axes that are also measured one by one, along the edges from the corner
-    linear: tuple[Letter, ...] = ("x", "y", "z")
+    linear: tuple[Letter, ...] = ("x", "y", "z")  # axes also measured one by one, along the edges from the corner
     # further linear runs, where other axes stand at the far end: `xy` is a run along x at the end of y, `xyz` one at
     # the ends of y and z. There the angular errors show through lever arms
     offset_linear: tuple[Offset, ...] = ()

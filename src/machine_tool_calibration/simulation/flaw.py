@@ -17,8 +17,7 @@ from machine_tool_calibration.simulation.scene import Scene
 class Sight:
     """What the instrument looks at in each reading; what a method lacks is zero."""
 
-    # (n,) length from the instrument (rotation centre, or the mirror at the start of a run) to the target, m
-    path: Array
+    path: Array  # (n,) from the instrument (rotation centre, or the mirror at the start of a run) to the target, m
     direction: Array  # (n, 3) unit vector along which a displacement is sensed
     # (n,) azimuth of that direction (of the commanded beam, for a pointer), rad
     azimuth: Array = field(default_factory=lambda: np.zeros(1))
@@ -39,13 +38,11 @@ class Disturbance:
     turn: Array | float = 0.0  # turn of the beam's azimuth, rad
     optical: Array | float = 0.0  # relative excess of the optical over the geometric path
     dead: Array | float = 0.0  # excess of the optical path outside the measured one, m
-    # (n, 2) further tilt of the flat mirror's normal off the beam, towards its left and upwards, rad
-    mirror: Array | float = 0.0
+    mirror: Array | float = 0.0  # (n, 2) tilt of the flat mirror's normal off the beam, left and upwards, rad
     growth: Array | float = 0.0  # relative growth of the workpiece about the table's centre
     table_radial: Array | float = 0.0  # relative growth of the table's targets away from the axis
     table_axial: Array | float = 0.0  # relative growth along the axis
-    # added to the reading as a function of what the instrument looks at
-    reading: tuple[Callable[[Sight], Array], ...] = ()
+    reading: tuple[Callable[[Sight], Array], ...] = ()  # added to the reading, of what the instrument looks at
     tables: tuple[tuple[str, Table], ...] = ()  # further error motions of the machine
     squareness: Mapping[str, float] = field(default_factory=dict)  # further squareness, rad
     # further error motions of an axis at each reading, whatever its position, by axis letter: (n, 6) EX, EY, EZ (m) and

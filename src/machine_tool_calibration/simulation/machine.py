@@ -52,8 +52,7 @@ class VirtualMachine:
     # position and orientation of a rotary axis's average line in the machine frame: X0C, Y0C (m), A0C, B0C (rad),
     # likewise for A and B
     average_line: Mapping[str, float] = field(default_factory=dict)
-    # lower and upper end by axis letter, m or rad
-    travel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    travel: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends by axis letter, m or rad
     # +1 where a rotary axis commanded positive turns the workpiece counter-clockwise seen from the positive end of its
     # axis, -1 clockwise
     rotation_sign: int = 1

@@ -123,8 +123,7 @@ class MachineSpec(Record):
     chain: str | None = None  # chain of axes; the measurement's own if absent
     # ends of the axes, m; the measurement's own if absent
     travel: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
-    # +1 counter-clockwise, -1 clockwise for a rotary axis commanded positive
-    rotation_sign: Literal[-1, 1] | None = None
+    rotation_sign: Literal[-1, 1] | None = None  # +1 counter-clockwise, -1 clockwise for a positive rotary command
     seed: Annotated[int, Field(ge=0)] | None = None  # of the random errors; the simulation's own if absent
     # sizes of random errors (an empty mapping: those of an ordinary machining centre); `null`: no random errors.
     # Without this key the errors are random, of sizes that suit the measurement

@@ -26,8 +26,7 @@ class Measurement:
     scene: Scene  # commands and conditions of each reading
     # (machine, disturbance) -> (n,) readings from geometry, before the datum, m
     read: Callable[[VirtualMachine, Disturbance], Array]
-    # (n,) readings of the same number are changes since the first of them; None where the readings are absolute
-    datum: IntArray | None
+    datum: IntArray | None  # (n,) readings of one number are changes since the first of them; None: absolute
     columns: Mapping[str, Array] = field(default_factory=dict)  # numeric columns of the session besides the scene's
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text columns
     # machine -> what the measurement should find, for judging
@@ -54,8 +53,7 @@ class Plan(Record):
     interval: Interval = 4.0  # time between readings, s
     pause: Pause = 600.0  # time to set up the instrument anew, s
     noise: Positive = 3e-7  # usual standard uncertainty of a reading, m
-    # sense in which a rotary axis commanded positive turns the workpiece (+1: counter-clockwise)
-    sign: Literal[-1, 1] = 1
+    sign: Literal[-1, 1] = 1  # sense in which a positive rotary command turns the workpiece (+1: counter-clockwise)
     chain: str = "w-C-b-Y-X-Z-t"  # chain of axes
 
     def travel(self) -> dict[str, tuple[float, float]]:

@@ -85,8 +85,7 @@ class Scene:
     direction: Mapping[str, Array] = field(default_factory=dict)  # sign of the last move by axis letter, (n,)
     environment: Environment = field(default_factory=Environment)  # temperatures, pressure and humidity over time
     axis: str = "C"  # letter of the rotary axis
-    # lower and upper end of each axis's travel by letter
-    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends of each axis's travel by letter
     start: Array | None = None  # (n,) time of the first reading of that setup, s; found from the readings if absent
     velocity: Mapping[str, Array] = field(default_factory=dict)  # by axis letter, (n,) m/s; at rest if absent
     # way along the path since an axis reversed, by letter, (n,) m; long ago if absent

@@ -30,8 +30,7 @@ class Truth:
     clean: Array  # (n,) readings without noise, spread and gross errors, m, in the session's datum
     signal: Array  # (n,) what the effects changed in the clean readings, m
     outliers: IntArray  # rows with a gross error
-    # (n,) readings of the same number are changes since the first of them; None: absolute readings
-    datum: IntArray | None = None
+    datum: IntArray | None = None  # (n,) readings of one number are changes since the first of them; None: absolute
     # what the measurement should find, as the method states it: `position_error` at `points`, `stations`, …
     expected: Mapping[str, Any] = field(default_factory=dict)
 

@@ -127,8 +127,7 @@ class SiteSpec(Record):
     station_uncertainty: NotNegative | None = None
     target_uncertainty: NotNegative | None = None  # likewise of a target on the table
     mirror_tilt: NotNegative = 1e-3  # angle between a flat mirror's normal and its beam, in a random direction, rad
-    # standard deviation of a captured reading, m; the session's declared uncertainty if absent
-    noise: NotNegative | None = None
+    noise: NotNegative | None = None  # standard deviation of a reading, m; the session's declared uncertainty if absent
     repeatability: NotNegative = 0.0  # standard deviation of the machine's position at each visit, per coordinate, m
     environment_swing: NotNegative = 1.0  # factor on all changes of temperature, pressure and humidity
 

@@ -73,10 +73,8 @@ PRESETS: Mapping[str, AnyPlan] = {
 """Named plans: those of the papers and of the usual tests."""
 
 
-# Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.
-_LARGEST_ERROR = 1e-3
-# How many times its typical size an effect may have, and noise its declared one.
-_TIMES = 1e4
+_LARGEST_ERROR = 1e-3  # largest noise, spread and gross error of a reading that a measurement can have, m
+_TIMES = 1e4  # how many times its typical size an effect may have, and noise its declared one
 
 
 def refuse_implausible(spec: SimulationSpec) -> None:
@@ -187,8 +185,7 @@ class FlawSpec(Record):
     size: Finite | None = None  # coefficient of the effect's formula, in its unit; typical if neither is given
     # instead of the size: the largest change of any reading that the effect shall make, m
     amplitude: Annotated[float, Field(ge=1e-12, allow_inf_nan=False)] | None = None
-    # the effect's further coefficients (`tau`, `lead`, `phase`, …)
-    parameters: dict[str, Any] = Field(default_factory=dict)
+    parameters: dict[str, Any] = Field(default_factory=dict)  # further coefficients (`tau`, `lead`, `phase`, …)
 
     @model_validator(mode="after")
     def _check(self) -> FlawSpec:

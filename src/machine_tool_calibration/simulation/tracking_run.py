@@ -53,8 +53,7 @@ class TrackingPlan(plan.Plan, Pointer):
     z: Line | None = None
     # targets one by one instead of a grid, m
     points: Annotated[tuple[plan.Vector3, ...], Field(min_length=1)] | None = None
-    # the estimated stations are off by this (standard deviation per coordinate), m
-    station_uncertainty: NotNegative = 1.2e-5
+    station_uncertainty: NotNegative = 1.2e-5  # standard deviation of the estimated stations per coordinate, m
     # every second repeat runs backwards (`alternate`), or all run alike (`same`)
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2

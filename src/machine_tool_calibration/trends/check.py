@@ -28,10 +28,8 @@ __all__ = ["LEVEL", "Change", "Check", "between_sessions", "check"]
 
 SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
-# Median of the square of a standard normal number.
-_MEDIAN = 0.4549
-# Positions that are one, m or rad.
-_SAME_POSITION = 1e-9
+_MEDIAN = 0.4549  # median of the square of a standard normal number
+_SAME_POSITION = 1e-9  # positions that are one, m or rad
 
 
 @dataclass(frozen=True)
@@ -46,13 +44,11 @@ class Change:
     after: float
     change: float  # later less earlier; of many values the one with the largest normalised change, in a common datum
     u: float  # standard uncertainty of that change
-    # where that is: position on the axis, or x, y, z of the place, m or rad; empty of a single number
-    at: tuple[float, ...]
+    at: tuple[float, ...]  # where that is: on the axis, or x, y, z of the place, m or rad; empty of a single number
     along: int | None  # of position errors the direction, 0 to 2; None otherwise
     rms: float  # of the changes of all its values
     u_rms: float  # of their standard uncertainties
-    # standard deviation between sessions that is contained in them, of one session; 0 where it is not known
-    between: float
+    between: float  # standard deviation between sessions contained in them, of one session; 0 if not known
     p_value: float  # of all its values together if nothing changed
     adjusted: float = 1.0  # the same by Holm's rule among all that are compared
 
@@ -78,8 +74,7 @@ class Check:
     changes: tuple[Change, ...]  # what both have, the most significant first
     not_compared: tuple[str, ...]  # what only one of both has
     correlated: bool  # whether the correlations of both are known
-    # places at which the position errors are compared, and those of the earlier map
-    places: tuple[int, int]
+    places: tuple[int, int]  # places at which the position errors are compared, and those of the earlier map
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
 
     @property

@@ -29,8 +29,7 @@ from machine_tool_calibration.model.result import Result, effect_estimates
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
 _FIGURES = (*ERROR_MOTIONS, *SQUARENESS, "B_mean", "R", VOLUMETRIC)
-# So large a tolerance that it decides nothing: the figures and their uncertainty are asked for.
-_ANY = 1.0
+_ANY = 1.0  # so large a tolerance that it decides nothing: the figures and their uncertainty are asked for
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,7 @@ class Statement:
     effects: tuple[str, ...]  # ids of the effects in it
     sha256: str  # of the data
     numbers: Numbers  # values and standard uncertainties
-    # (n, 3) places of the position error, m, or (n, 6) with the senses of approach; without rows where there is none
-    points: Array
+    points: Array  # (n, 3) places of the position error, m, or (n, 6) with senses of approach; may be none
     parts: Mapping[str, Part]  # error motions and single numbers by name
     absolute: bool = False  # whether no datum leaves a motion of the position errors open
     # (draws, M') deviations of the first numbers, drawn together; None of a document, which has no correlations

@@ -48,8 +48,7 @@ class Explanation:
     first: int
     last: int
     spread: float  # between sessions, standard deviation
-    # by how much the last way of measuring reads more than the one in use before it; 0 where there is only one
-    step: float = 0.0
+    step: float = 0.0  # how much more the last way of measuring reads than the one before; 0 of only one
     u_step: float = 0.0  # its standard uncertainty
 
     @property

@@ -28,8 +28,7 @@ class Sample:
 class Health:
     """The state of the link, for diagnostics."""
 
-    # `streaming`, `silent` (connected, but no sample for longer than the driver allows) or `disconnected`
-    state: LinkState
+    state: LinkState  # `streaming`, `silent` (connected, but without a sample for too long) or `disconnected`
     rejected: str = ""  # the last line that was no reading, shortened; empty if there was none
     reconnections: int = 0  # number of times that the link was lost and made again
     problem: str = ""  # why the link is down; empty if it is up

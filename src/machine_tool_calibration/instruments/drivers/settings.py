@@ -75,8 +75,7 @@ class Line(Record):
     # instrument sends them, `status` and `beam`
     pattern: str
     beam_broken: str | None = None  # expression of a line that says that the beam is broken and carries no value
-    # expression of lines that are no readings and no garbage either: greetings, acknowledgements
-    ignore: str | None = None
+    ignore: str | None = None  # expression of lines neither readings nor garbage: greetings, acknowledgements
     terminator: Annotated[Ascii, Field(max_length=4)] = "\n"  # what ends a line
     status_ok: tuple[str, ...] | None = None  # the words of `status` with which a value is valid; any word if not given
     beam_ok: tuple[str, ...] = ()  # the words of `beam` that mean an unbroken beam
@@ -146,5 +145,4 @@ class AsciiLineSettings(Record):
     request: Request | None = None
     start: Ascii | None = None  # text sent after connecting, such as a command to begin streaming
     timeouts: Timeouts = Timeouts()
-    # of the instrument in diagnostics, such as its serial number; where it is connected if not given
-    hardware_id: str = ""
+    hardware_id: str = ""  # of the instrument in diagnostics, as its serial number; its connection if not given

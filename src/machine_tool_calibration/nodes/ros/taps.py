@@ -32,8 +32,7 @@ _NO_NUMBER = 2**64 - 1
 _CLOCK = Qos(depth=1000, reliability="best_effort")
 # ns that a message waits for a tick that was sent after it, so that none before it is missing
 _OVERTAKEN = 1_000_000_000
-# ticks that are kept for messages that are still on their way
-_TICKS_KEPT = 2_000
+_TICKS_KEPT = 2_000  # ticks that are kept for messages that are still on their way
 
 
 @dataclass(frozen=True)

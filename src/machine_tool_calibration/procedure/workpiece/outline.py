@@ -109,12 +109,9 @@ Segment = Straight | Arc
 
 Material = Literal["inside", "outside", "left", "right"]
 
-# Ends nearer than this are joined, m.
-_GAP = 1e-6
-# A turn of the outline by more than this is a corner, rad; curves come as polygons with smaller turns.
-_CORNER = 0.1
-# Accuracy of outlines that are polygons in place of curves, m.
-_TOUCH = 1e-6
+_GAP = 1e-6  # ends nearer than this are joined, m
+_CORNER = 0.1  # a turn of the outline by more than this is a corner, rad; curves come as polygons with smaller turns
+_TOUCH = 1e-6  # accuracy of outlines that are polygons in place of curves, m
 
 
 @dataclass(frozen=True)
@@ -291,8 +288,7 @@ def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
 
 
 _FLAT = 1e-7  # m
-# DXF $INSUNITS: metres per unit.
-_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}
+_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}  # DXF $INSUNITS: metres per unit
 _LARGEST_DXF = 256 << 20  # bytes
 
 

@@ -13,8 +13,7 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["check_session"]
 
-# Share of different times among the readings from which the time distinguishes readings.
-_TOLD_BY_TIME = 0.4
+_TOLD_BY_TIME = 0.4  # share of different times among the readings from which the time distinguishes readings
 
 
 def check_session(session: Session, place: Place | None = None) -> None:

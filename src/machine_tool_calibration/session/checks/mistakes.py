@@ -32,8 +32,7 @@ SENSES = (
     (-1.0, "displacement has the opposite sign; it grows with the path from the instrument"),
     (0.5, "displacement looks like twice the change of path"),
 )
-# Exchanges are tried among so many setups, targets or points.
-_MOST_EXCHANGED = 8
+_MOST_EXCHANGED = 8  # exchanges are tried among so many setups, targets or points
 _SLIPPED = (1, -1, 2, -2)  # rows
 
 

@@ -18,8 +18,7 @@ from machine_tool_calibration.words import figures, say
 # stated, m: beyond, another place is meant. Beyond the former and so many of its own, it is said.
 _DECLARED, _LEAST_OFF, _UNDECLARED = 10.0, 0.01, 0.1
 _KNOWN = 5.0
-# Readings of a rotary axis place stations and targets by themselves, however wrong they are stated, as far as this, m.
-_FOUND = 0.15
+_FOUND = 0.15  # as far as this, m, readings of a rotary axis place stations and targets by themselves
 # Stations of an axis stand in the frame of that axis: fewer fix the motion between that and the machine's frame, and
 # show nothing.
 _FRAME = 3
