@@ -64,10 +64,7 @@ def conclude(
     seed: int = 1,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Conclusions:
-    """What follows from a diagnosis, the sizes of effects with their complete uncertainty, from `SEARCH` on.
-
-    By the contributors of a budget, else those that the sessions state; that of the readings without any.
-    """
+    """What follows from a diagnosis, from `SEARCH` on; sizes by contributors, given or stated, if there are any."""
     lines = declared_contributors(found.chosen.sessions) if contributors is None else contributors
 
     def added(fitted: FittedSessions) -> Mapping[str, float]:

@@ -225,10 +225,7 @@ class _Conformity:
         return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), kind, signed)
 
     def volumetric(self, q: published.Quantity) -> _Figure:
-        """The largest length of the position error, of those points that can have it.
-
-        A direction that is not measured anywhere is no part of it; a point with a gap leaves it undetermined.
-        """
+        """The largest length of the position error, in the directions measured; undetermined by a point with a gap."""
         error, u = (values[q.members].reshape(-1, 3) for values in (self.numbers.value, self.u))
         measured = np.flatnonzero(np.isfinite(error).any(axis=0))
         length, off = np.linalg.norm(error[:, measured], axis=1), _BEYOND * np.linalg.norm(u[:, measured], axis=1)
@@ -319,10 +316,7 @@ class _Conformity:
 
 
 def _single(value: float, u: float, dof: float, tolerance: float, *, signed: bool) -> float:
-    """Probability that a value is at most the tolerance, or within it on either side of zero.
-
-    Normally distributed, or by Student's t where its uncertainty has few degrees of freedom.
-    """
+    """Probability, normal or Student's t, that a value is at most the tolerance, or within it on both sides of zero."""
     if u == 0.0:
         return float((abs(value) if signed else value) <= tolerance)
 

@@ -77,10 +77,7 @@ def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
 def contributors_of(
     given: str | Path | Sequence[Path | Contributor | Mapping[str, Any]] | None, sessions: Sequence[Session]
 ) -> tuple[Contributor, ...]:
-    """The contributors that are given: a file, or lines and files; if absent those of `default_budget`.
-
-    A CalibrationError if the file or a line is wrong, or the instrument has no budget to begin with.
-    """
+    """Contributors from a file, or lines and files, else of `default_budget`; a CalibrationError: one is wrong."""
     if given is None:
         return default_budget(sessions)
     out = list[Contributor]()

@@ -53,8 +53,7 @@ class Reached:
     setup: str  # id of the last one
     readings: int  # so far
     seconds: float | None  # from the first reading to the last; None without a time column
-    # largest expanded uncertainty (k = 2) of a coordinate of the map, m; infinite as long as the readings do not
-    # determine what is wanted
+    # largest expanded uncertainty (k = 2) of a coordinate of the map, m; infinite while that is not determined
     u: float = float("inf")
     # of the effects asked for; none as long as the readings do not allow a search
     probabilities: dict[str, float] = field(default_factory=dict)

@@ -137,10 +137,7 @@ class Client(AbstractContextManager["Client"]):
     # --- what a program waits for
 
     def wait(self, until: Callable[[], bool], timeout: float, *, watched: bool = True) -> bool:
-        """Hear messages until something holds; False if it does not within the timeout, s.
-
-        Not `watched`, `watch` cannot end the wait: after it has, there is still to hear what is on its way.
-        """
+        """Hear messages until something holds; False after the timeout, s. If not `watched`, `watch` cannot end it."""
         deadline = time.monotonic() + timeout
         while not until():
             if time.monotonic() > deadline:

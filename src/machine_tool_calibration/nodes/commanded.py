@@ -100,8 +100,7 @@ class Executed:
     command: int  # its stamp, ns
     began: int  # when the motion began, ns
     reached: tuple[int, ...]  # when each of the command's points was reached, ns, as far as they were
-    # position by axis where it began, and at those points; none before the first command
-    places: tuple[Mapping[str, float], ...]
+    places: tuple[Mapping[str, float], ...]  # by axis where it began, and at those points; none at first
     epoch: str  # changes where the axes did not come from where they stood: they were started anew, or moved otherwise
 
     def arrival(self, points: Sequence[Mapping[str, float]]) -> int | None:

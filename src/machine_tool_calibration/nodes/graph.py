@@ -160,10 +160,7 @@ def switches(given: Mapping[str, str], names: Collection[str]) -> dict[str, bool
 
 
 def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) -> None:
-    """Refuse an argument that nobody reads, which `ros2 launch` passes over without a word.
-
-    Where another launch file includes this one its own arguments are there too: then nothing is refused.
-    """
+    """Refuse arguments nobody reads, which `ros2 launch` passes over, unless another launch file includes this one."""
     unknown = sorted(set(given) - set(known))
     if unknown and any(word.endswith(file) for word in sys.argv):
         name = unknown[0]

@@ -189,11 +189,7 @@ class Heard:
             return list(self._calls)
 
     def nodes(self) -> list[NodeState]:
-        """How the nodes are, by name, each as it was said last.
-
-        A status on a topic of its own, which a replay has too, stands for a node where none speaks for it, or has
-        not for long.
-        """
+        """How the nodes are, by name, each as said last, also on topics of their own where none speaks for long."""
         with self._lock:
             spoken, said = list(self._spoken.values()), list(self._said.values())
         out: list[NodeState] = []

@@ -286,10 +286,7 @@ class Stages:
         self._status = StatusTopic(client.node, "until", publisher=publisher)
 
     def next(self, progress: Progress) -> None:
-        """Ask for the next stage, or for the end, of a procedure that waits for it.
-
-        Where a person has to bring the instrument to another setup, it is the person who resumes.
-        """
+        """Ask for the next stage, or for the end; a person who brings the instrument to another setup resumes."""
         found, client = self.last(progress), self._client
         by_hand = self._by_hand and client.procedure.entries["setup"] != found.setup
         if found.enough:

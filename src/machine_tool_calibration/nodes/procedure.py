@@ -102,8 +102,7 @@ class ProcedureNode(ManagedNode):
         self._session = self.create_publisher(String, "session", messages.LATCHED)
         self._readings = self.create_publisher(JointState, "reading", messages.READINGS)
         self._status = messages.StatusTopic(self, "procedure")
-        # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
-        # its first answers.
+        # before the subscription to its status: an instrument whose status came knows these clients
         self._datum = self.create_client(Trigger, "instrument/datum")
         self._capture = self.create_client(Trigger, "instrument/capture")
         self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", messages.COMMAND)

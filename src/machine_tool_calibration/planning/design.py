@@ -65,10 +65,7 @@ def map_errors(joint: JointFit) -> Known:
 
 
 def _derivatives(function: Callable[[Array], Array], size: int) -> Array:
-    """(q, size) of a linear function; unknowns on which nothing depends are found many at a time.
-
-    Several are moved together by random steps: where nothing changes, nothing depends on any of them.
-    """
+    """(q, size) of a linear function; many unknowns at a time, moved by random steps: no change, no dependence."""
     rng = np.random.default_rng(0)
     here = function(np.zeros(size))
     out = np.zeros((len(here), size))

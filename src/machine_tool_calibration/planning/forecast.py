@@ -23,14 +23,8 @@ from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant,
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.steps import Step, plan, pointing
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session import description as sessions
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import (
-    Direct,
-    Probing,
-    RotaryAxis,
-    StepDiagonal,
-    TrackingInterferometer,
-)
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -187,13 +181,13 @@ _Nominal = tuple[Array, dict[str, Array], dict[str, np.ndarray]]
 
 def directly(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """No deviation, along the direction that is sensed."""
-    direction, n = procedure.session.as_a(Direct).sense, len(steps)
+    direction, n = procedure.session.as_a(sessions.Direct).sense, len(steps)
     return np.zeros(n), {f"g{axis}": np.full(n, direction[j]) for j, axis in enumerate("xyz")}, {}
 
 
 def touching(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """No deviation, where the stylus touches."""
-    description = procedure.session.as_a(Probing)
+    description = procedure.session.as_a(sessions.Probing)
     part = Part(description)
     points = [step.target or 0 for step in steps]
     angles = [description.setups[s].c for s in setup]
@@ -204,14 +198,14 @@ def touching(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 
 def along_diagonals(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Ways along the beams on the flat mirror."""
-    description = procedure.session.as_a(StepDiagonal)
+    description = procedure.session.as_a(sessions.StepDiagonal)
     beam = np.array([run.beam for run in runs_of(description)])
     return np.asarray(np.einsum("nj,nj->n", _aims(steps), beam[setup])), {}, {}
 
 
 def to_table(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Distances from the stations to targets on the table."""
-    description = procedure.session.as_a(RotaryAxis)
+    description = procedure.session.as_a(sessions.RotaryAxis)
     stations = np.array([entry.position for entry in description.setups])[setup]
     names = np.array([description.targets[step.target or 0].id for step in steps], dtype=object)
     return np.linalg.norm(_aims(steps) - stations, axis=1), {}, {"target": names}
@@ -219,7 +213,7 @@ def to_table(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 
 def from_stations(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Distances from the stations to the tool, and the beams' angles."""
-    description, aim = procedure.session.as_a(TrackingInterferometer), _aims(steps)
+    description, aim = procedure.session.as_a(sessions.TrackingInterferometer), _aims(steps)
     stations = np.array([entry.position for entry in description.setups])[setup]
     if description.dimension == 2:
         stations[:, 2] = aim[:, 2]

@@ -33,8 +33,7 @@ class Choice:
 class Offer:
     """What could be measured."""
 
-    # the procedure's file, with every candidate among its setups and targets, measured once, or once in either sense of
-    # the path
+    # the procedure's file with every candidate setup and target, measured once, or once in either sense of the path
     content: Mapping[str, Any]
     procedure: Procedure  # the same as a procedure
     choices: Choices  # what is allowed

@@ -91,8 +91,7 @@ class Path(Record):
     # of a rotary axis: the axis turns once for each target (`one_by_one`), or every target is read at each angle
     # (`at_every_angle`), for an instrument that finds a target again
     targets: Literal["one_by_one", "at_every_angle"] = "one_by_one"
-    # directions in which a pointer holds its beam at every target, rad, rather than towards it: to find its rotation
-    # centre and zero angle
+    # directions, rad, in which a pointer holds its beam at every target, to find its centre and zero angle
     azimuth: Spread | Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
@@ -124,8 +123,7 @@ class Motion(Record):
     """How the axes move and wait."""
 
     speed: dict[str, Positive] = Field(default_factory=dict)  # greatest speed of each axis, m/s or rad/s
-    # greatest acceleration of each axis, m/s^2 or rad/s^2
-    acceleration: dict[str, Positive] = Field(default_factory=dict)
+    acceleration: dict[str, Positive] = Field(default_factory=dict)  # greatest acceleration of each, m/s² or rad/s²
     dwell: Positive = 1.0  # time held at each target, s: settling and averaging must fit in
     approach: NotNegative = 0.005  # length of the short move that takes up the play before the first target, m or rad
 

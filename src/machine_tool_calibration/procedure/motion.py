@@ -64,10 +64,7 @@ class Move:
 def move(
     start: Mapping[str, float], end: Mapping[str, float], limits: Mapping[str, AxisLimits], duration: float = 0.0
 ) -> Move:
-    """The move that takes the wanted time, s, or the shortest that the axes' limits allow, which 0 asks for.
-
-    Start and end are positions of the same axes, m or rad; limits are of each axis that moves.
-    """
+    """The move between positions of axes in the wanted time, s, or the shortest that their limits allow, by 0."""
     travels = {name: abs(end[name] - begin) for name, begin in start.items() if abs(end[name] - begin) > _NO_TRAVEL}
     if not travels:
         wait = duration if duration > _NO_TIME else 0.0
@@ -116,10 +113,7 @@ class Trajectory:
         limits: Mapping[str, AxisLimits],
         first: Move | None = None,
     ) -> Trajectory:
-        """The trajectory through points (positions of some axes, and the time from the start, s) from standstill.
-
-        Later than wanted where the limits do not allow it; a move that brakes may come `first`.
-        """
+        """The trajectory through points (places, and times, s) from standstill, or later; braking may come `first`."""
         moves: list[tuple[float, Move]] = []
         clock = arrival = 0.0
         here = dict(start)

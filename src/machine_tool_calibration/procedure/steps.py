@@ -13,14 +13,8 @@ from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.procedure.description import Motion, Path, Procedure, Spread
 from machine_tool_calibration.procedure.motion import AxisLimits, move
+from machine_tool_calibration.session import description as sessions
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import (
-    Direct,
-    Probing,
-    RotaryAxis,
-    StepDiagonal,
-    TrackingInterferometer,
-)
 from machine_tool_calibration.session.method import load
 
 _MOVED = 1e-9
@@ -52,7 +46,7 @@ def touch_steps(procedure: Procedure) -> Iterator[Step]:
     SessionError if no single height is given, a touch is outside the travel, or it could be meant for two points.
     """
     session = procedure.session
-    assert isinstance(session, Probing)
+    assert isinstance(session, sessions.Probing)
     held = _held(procedure)
     part, standoff = Part(session), procedure.motion.approach
     if standoff <= 0:
@@ -109,7 +103,7 @@ def _travel(procedure: Procedure, axis: str) -> tuple[float, float]:
 def diagonal_steps(procedure: Procedure) -> Iterator[Step]:
     """Setup by setup, run by run; the path is zeroed at the start of each run."""
     session = procedure.session
-    assert isinstance(session, StepDiagonal)
+    assert isinstance(session, sessions.StepDiagonal)
     runs = []
     for index, setup in enumerate(session.setups):
         positions = session.positions(index)
@@ -121,7 +115,7 @@ def diagonal_steps(procedure: Procedure) -> Iterator[Step]:
 def rotary_steps(procedure: Procedure) -> Iterator[Step]:
     """Station by station, repetition by repetition: all angles target by target, or all targets angle by angle."""
     session = procedure.session
-    assert isinstance(session, RotaryAxis)
+    assert isinstance(session, sessions.RotaryAxis)
     axis = session.machine.table_axis.lower()
     forth = targets_of(procedure)
     if any(set(place) != {axis} for place in forth):
@@ -151,7 +145,7 @@ def _first_sense(way: Sequence[Position]) -> dict[str, float]:
 def direct_steps(procedure: Procedure) -> Iterator[Step]:
     """Every run goes forth and back, with an overrun at both ends (ISO 230-2)."""
     session = procedure.session
-    assert isinstance(session, Direct)
+    assert isinstance(session, sessions.Direct)
     _ = session.sense  # refused here, and not after the first reading
     forth = targets_of(procedure)
     each = product(session.setups, range(session.repeats))
@@ -216,7 +210,7 @@ def _beyond(procedure: Procedure, position: Mapping[str, float], sense: Mapping[
 def _aim(procedure: Procedure, position: Mapping[str, float], target: int | None) -> tuple[float, float, float]:
     """The commanded target in the machine frame."""
     session = procedure.session
-    if isinstance(session, RotaryAxis) and target is not None:
+    if isinstance(session, sessions.RotaryAxis) and target is not None:
         axis = session.machine.table_axis
         sign = session.rotation_sign or session.machine.rotation_sign or 1
         angle, place = sign * position[axis.lower()], list(session.targets[target].position)
@@ -251,7 +245,7 @@ def path_steps(procedure: Procedure) -> Iterator[Step]:
 def _held_beam(procedure: Procedure, steps: Iterator[Step], azimuth: Spread | tuple[float, ...]) -> Iterator[Step]:
     """Every step in every direction of the beam, back again in every second repetition if so planned."""
     session = procedure.session
-    assert isinstance(session, TrackingInterferometer)
+    assert isinstance(session, sessions.TrackingInterferometer)
     stations = {setup.id: np.array(setup.position) for setup in session.setups}
     forth = azimuth.values() if isinstance(azimuth, Spread) else list(azimuth)
     number = 0
@@ -324,8 +318,8 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
     if maker is None:
         raise SessionError(f"procedure {procedure.name}: no procedure makes a {procedure.session.method} session")
     session = procedure.session
-    flat = isinstance(session, TrackingInterferometer) and session.pointing == "open_loop" and session.dimension == 2
-    if procedure.path.azimuth is not None and not flat:
+    has_pointer = isinstance(session, sessions.TrackingInterferometer) and session.pointing == "open_loop"
+    if procedure.path.azimuth is not None and not (has_pointer and session.axes == "xy"):
         raise SessionError(
             f"procedure {procedure.name}: path.azimuth is for an open-loop pointer in the plane, to find its rotation "
             "centre and zero angle"

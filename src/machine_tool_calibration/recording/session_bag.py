@@ -116,10 +116,7 @@ _READINGS = Qos(depth=20000, durability="transient_local")
 
 
 def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace: str = "") -> None:
-    """Write a session as a bag, which must not exist, with the topics `session` and `reading` in a namespace.
-
-    Every reading is logged at `start`, ns since 1970, plus its `time`; without times, one second apart.
-    """
+    """Write a session as a new bag; a reading is logged at `start`, ns since 1970, plus its `time`, or each second."""
     prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
     names, table = reading_columns(session)
     if (time := session.readings.columns.get("time")) is None:

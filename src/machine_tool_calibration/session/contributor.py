@@ -45,8 +45,7 @@ class Contributor(Record):
     # of a standard uncertainty that was evaluated; not said: known exactly
     degrees_of_freedom: Annotated[Finite, Field(ge=1)] | None = None
     enters: Enters  # what one unit of it does to a reading (`patterns.effect_on_readings`)
-    # which readings share a value of it: one reading, or all of a place, beam direction, run, setup, session; never:
-    # all
+    # which readings share a value: one reading, or all of a place, beam direction, run, setup, session; never: all
     varies: Varies
     expansion: Annotated[Finite, Field(gt=0)] | None = None  # coefficient of expansion of what has the temperature, 1/K
     instrument: Instrument | Literal[""] = ""  # whose readings alone it enters; those of all if it is not said

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `session.yaml` says: the machine, the instrument's setups and the declared uncertainty.
-
-One frozen record per measuring method; an unknown key is an error. SI units, angles in radians.
-"""
+"""What `session.yaml` says, in SI units and radians: a frozen record per method; an unknown key is an error."""
 
 from __future__ import annotations
 
@@ -72,8 +69,7 @@ class Machine(Record):
     table_grid: Annotated[
         dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None, AfterValidator(_by_small_letters)
     ] = None
-    # sense in which the workpiece turns, seen from +Z, when C is commanded positive: -1 clockwise (probing), +1
-    # counter-clockwise
+    # sense in which the workpiece turns, seen from +Z, for C positive: -1 clockwise (probing), +1 counter-clockwise
     rotation_sign: Literal[-1, 1] | None = None
     axis: str | None = None  # the rotary axis under test (rotary_axis)
     # from the point to which the axes' positions refer (where the lever arms of the axes' angular errors end if
@@ -164,10 +160,7 @@ _ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
 
 
 class DiagonalSetup(Setup):
-    """A step diagonal or a linear run with a flat mirror.
-
-    Its id may carry the order of the single-axis moves, as in `ppp_yzx`; without one it is xyz.
-    """
+    """A step diagonal or linear run with a flat mirror; its id may carry the order of moves, as `ppp_yzx`, else xyz."""
 
     kind: Literal["diagonal", "linear"]
     direction: tuple[Sign, Sign, Sign]  # of the motion along x, y, z

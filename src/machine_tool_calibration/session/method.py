@@ -54,8 +54,7 @@ class MethodSpec:
     free_order: ClassVar[bool] = False  # whether targets may be visited in any order
 
     steps: ClassVar[str | None] = None  # of a procedure, its steps one reading each
-    # of a procedure, its steps and the setup of each, what a perfect machine would show
-    planned: ClassVar[str | None] = None
+    planned: ClassVar[str | None] = None  # of a procedure, steps and setups, what a perfect machine would show
     # of a session and its description, further setups that could be measured, as options
     further_places: ClassVar[str | None] = None
     pictures: ClassVar[str | None] = None  # module with `figures` of a result; those of its map and tables if absent

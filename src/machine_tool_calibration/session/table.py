@@ -195,10 +195,7 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """Read a CSV file; unknown columns are kept, as numbers where they are all numbers, else as text.
-
-    A SessionError as for `scan_csv`, or a field that is not a finite number in a column that must hold them.
-    """
+    """Read a CSV file, unknown columns too; a SessionError as of `scan_csv`, or a field is no finite number."""
     layout = scan_csv(path)
     read = _by_pandas if layout.rows > _PANDAS_ROWS else _by_rows
     numbers: dict[str, Array] = {}

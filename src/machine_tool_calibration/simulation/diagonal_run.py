@@ -33,8 +33,7 @@ class DiagonalPlan(plan.Plan):
     step: tuple[Positive, Positive, Positive] = (0.012, 0.012, 0.012)  # length of a move along x, y, z, m
     blocks: Annotated[int, Field(ge=1, le=100_000)] = 10  # number of blocks
     corner: plan.Vector3 = (0.0, 0.0, 0.0)  # lowest corner of the measured volume, m
-    # signs of the motion along x, y, z (p or n); 0 for an axis that stands still, as in `pp0` and `np0` of a
-    # measurement in the XY plane
+    # signs of the motion along x, y, z (p or n); 0 for an axis that stands still, as in `pp0` in the XY plane
     diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp", "nnp")
     # orders of the single-axis moves; each diagonal is run in each of them
     orders: Annotated[tuple[Order, ...], Field(min_length=1)] = ("xyz",)

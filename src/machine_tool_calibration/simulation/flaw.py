@@ -45,8 +45,7 @@ class Disturbance:
     reading: tuple[Callable[[Sight], Array], ...] = ()  # added to the reading, of what the instrument looks at
     tables: tuple[tuple[str, Table], ...] = ()  # further error motions of the machine
     squareness: Mapping[str, float] = field(default_factory=dict)  # further squareness, rad
-    # further error motions of an axis at each reading, whatever its position, by axis letter: (n, 6) EX, EY, EZ (m) and
-    # EA, EB, EC (rad)
+    # further error motions of an axis at each reading, by letter: (n, 6) EX, EY, EZ (m) and EA, EB, EC (rad)
     errors: Mapping[str, Array] = field(default_factory=dict)
     table_shift: Array | float = 0.0  # (n, 3) shift of the rotary table's axis, m
     table_tilt: Array | float = 0.0  # (n, 3) small rotation of it about the machine's zero, rad
@@ -116,8 +115,7 @@ class Flaw:
     formula: str  # what it does, in words or as a formula of its size
     unit: str  # unit of the size
     typical: float  # a size that shows in a measurement
-    # (size, parameters, scene) -> disturbance; element by element, so that one reading at a time gives the same as all
-    # at once
+    # (size, parameters, scene) -> disturbance; element by element: one reading at a time gives the same as all
     disturb: Disturb
     defaults: Parameters = field(default_factory=dict)  # parameters that the user may set, with their values
     draw: Draw | None = None  # (source of chance, scene or None) -> parameters that are random unless set

@@ -65,10 +65,7 @@ class SimulatedSource:
         self._poses.append(Pose(stamp, place, rotation))
 
     def set_setup(self, stamp: int, setup: str, index: int, beam: Beam | None = None) -> str:
-        """The setup at which the instrument stands from a time on, and the true beam where it has a pointer.
-
-        From where to where it was moved is returned in words; empty if it was not.
-        """
+        """Stand at a setup from a time on, with a pointer's true beam; in words from where it was moved, if at all."""
         before = self.setup
         if setup != before:
             self.setup, self._setup_start, self.first = setup, stamp, None

@@ -49,12 +49,10 @@ class VirtualMachine:
     chain: Chain  # the chain of axes
     motions: Mapping[str, AxisMotion] = field(default_factory=dict)  # error motions by axis letter
     squareness: Mapping[str, float] = field(default_factory=dict)  # A0Z, B0Z, C0Y (or A0Y, C0X, B0X), rad
-    # position and orientation of a rotary axis's average line in the machine frame: X0C, Y0C (m), A0C, B0C (rad),
-    # likewise for A and B
+    # position and orientation of rotary axes' average lines in the machine frame: X0C, Y0C (m), A0C, B0C (rad), …
     average_line: Mapping[str, float] = field(default_factory=dict)
     travel: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends by axis letter, m or rad
-    # +1 where a rotary axis commanded positive turns the workpiece counter-clockwise seen from the positive end of its
-    # axis, -1 clockwise
+    # +1 where a positive rotary command turns the workpiece counter-clockwise about its axis, -1 clockwise
     rotation_sign: int = 1
     tool_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the last carriage to the functional point, m
 

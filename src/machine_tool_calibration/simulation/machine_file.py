@@ -121,8 +121,7 @@ class MachineSpec(Record):
     """A machine's true errors."""
 
     chain: str | None = None  # chain of axes; the measurement's own if absent
-    # ends of the axes, m; the measurement's own if absent
-    travel: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
+    travel: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)  # the measurement's own ends, m, if absent
     rotation_sign: Literal[-1, 1] | None = None  # +1 counter-clockwise, -1 clockwise for a positive rotary command
     seed: Annotated[int, Field(ge=0)] | None = None  # of the random errors; the simulation's own if absent
     # sizes of random errors (an empty mapping: those of an ordinary machining centre); `null`: no random errors.
@@ -143,10 +142,7 @@ def build_machine(
     seed: Any = 0,
     random: Amplitudes | None = None,
 ) -> VirtualMachine:
-    """The machine of a spec; the arguments are for what the spec does not say.
-
-    A CalibrationError if there is no chain, an error motion is of an axis that it lacks, or tables are unfit.
-    """
+    """The machine of a spec, with arguments for what it lacks; a CalibrationError: no chain, or unfit tables."""
     text = spec.chain or chain
     if text is None:
         raise ModelError("the machine needs a chain, such as w-C-b-Y-X-Z-t")

@@ -11,14 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.session.description import (
-    BallBar,
-    Description,
-    Direct,
-    RotaryAxis,
-    StepDiagonal,
-    TrackingInterferometer,
-)
+from machine_tool_calibration.session import description as sessions
 from machine_tool_calibration.simulation import rotary_run, tracking_run
 from machine_tool_calibration.simulation.flaw import Sight
 from machine_tool_calibration.simulation.scene import Scene
@@ -59,7 +52,7 @@ class OnTool(Optics):
 
     aims = True
 
-    def __init__(self, site: Site, description: TrackingInterferometer | None = None) -> None:
+    def __init__(self, site: Site, description: sessions.TrackingInterferometer | None = None) -> None:
         self._zero_offset = site.spec.pointer.zero_offset
         self._dimension = 2 if description is None else description.dimension
         self._follows = description is not None and description.pointing == "tracking"
@@ -83,7 +76,7 @@ class _OnTable(Optics):
 
     body, aims = "table", True
 
-    def __init__(self, site: Site, description: RotaryAxis) -> None:
+    def __init__(self, site: Site, description: sessions.RotaryAxis) -> None:
         self._site = site
         self._targets = np.array([site.target(target, k) for k, target in enumerate(description.targets)])
 
@@ -107,7 +100,7 @@ class _OnTable(Optics):
 class _FlatMirror(Optics):
     """A flat mirror on the spindle; the laser is aligned on the actual diagonal motion of its setup."""
 
-    def __init__(self, site: Site, description: StepDiagonal) -> None:
+    def __init__(self, site: Site, description: sessions.StepDiagonal) -> None:
         self._site, self._description = site, description
         self._made: dict[int, tuple[Array, Array, Array]] = {}
 
@@ -134,7 +127,7 @@ class _FlatMirror(Optics):
 class _Along(Optics):
     """A linear interferometer, aligned with the axis that moves."""
 
-    def __init__(self, site: Site, description: Direct) -> None:
+    def __init__(self, site: Site, description: sessions.Direct) -> None:
         self._direction = np.array(description.sense)
 
     def sight(self, targets: Array, pose: Pose, beam: Beam, moment: Scene) -> Sight:
@@ -144,7 +137,7 @@ class _Along(Optics):
 class _Bar(Optics):
     """A ball bar between the tool and a cup on the table, which stands a little beside its place."""
 
-    def __init__(self, site: Site, description: BallBar) -> None:
+    def __init__(self, site: Site, description: sessions.BallBar) -> None:
         self._centres = [np.array(setup.centre) + site.cup_offset(k) for k, setup in enumerate(description.setups)]
 
     def sight(self, targets: Array, pose: Pose, beam: Beam, moment: Scene) -> Sight:
@@ -153,17 +146,17 @@ class _Bar(Optics):
         return Sight(length, arm / length[:, None])
 
 
-def make_optics(site: Site, description: Description) -> Optics:
+def make_optics(site: Site, description: sessions.Description) -> Optics:
     """The optics of a session's method; a CalibrationError if that has no interferometer."""
     match description:
-        case TrackingInterferometer():
+        case sessions.TrackingInterferometer():
             return OnTool(site, description)
-        case RotaryAxis():
+        case sessions.RotaryAxis():
             return _OnTable(site, description)
-        case StepDiagonal():
+        case sessions.StepDiagonal():
             return _FlatMirror(site, description)
-        case Direct():
+        case sessions.Direct():
             return _Along(site, description)
-        case BallBar():
+        case sessions.BallBar():
             return _Bar(site, description)
     raise CalibrationError(f"no interferometer measures a {description.method} session")

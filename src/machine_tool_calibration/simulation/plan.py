@@ -29,8 +29,7 @@ class Measurement:
     datum: IntArray | None  # (n,) readings of one number are changes since the first of them; None: absolute
     columns: Mapping[str, Array] = field(default_factory=dict)  # numeric columns of the session besides the scene's
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text columns
-    # machine -> what the measurement should find, for judging
-    truth: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}
+    truth: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}  # machine -> what it should find
     # machine -> lengths of it that were measured otherwise, by the error motion
     known: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}
 

@@ -29,10 +29,7 @@ _STATIONS = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.
 
 
 def sighted(actual: Array, source: Array, axis: str, turned: Array) -> Sight:
-    """What a tracker at (n, 3) reads of retroreflectors that really are at (n, 3), m, and turn with a table.
-
-    `turned` (n,) is the angle of the table, counter-clockwise about its axis, rad.
-    """
+    """What a tracker at (n, 3) reads of targets at (n, 3), m, on a table `turned` (n,) counter-clockwise, rad."""
     line, path = actual - source, distance(actual, source)
     first, second = (("ABC".index(axis) + k) % 3 for k in (1, 2))
     incidence = np.arctan2(line[:, second], line[:, first]) - turned
@@ -52,11 +49,9 @@ class RotaryPlan(plan.Plan):
     stations: Annotated[tuple[plan.Vector3, ...], Field(min_length=1)] | None = None  # nominal positions, m
     # commanded angles, rad; 18 steps of 20 degrees if absent
     angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
-    # each run goes back through the same angles, so that what drifts with time is not taken for an error of the angle,
-    # and backlash shows
+    # each run goes back through the same angles, so that drift is distinguished from the angle, and backlash shows
     both_ways: bool = True
-    # every target is read at each angle, as in the paper; otherwise the axis turns once for each
-    at_every_angle: bool = False
+    at_every_angle: bool = False  # every target is read at each angle, as in the paper; or the axis turns for each
     # standard deviation of the stated stations per coordinate, m
     station_uncertainty: Annotated[float, Field(ge=0)] = 2e-4
     target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5  # likewise of the stated targets

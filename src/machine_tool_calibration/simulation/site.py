@@ -118,12 +118,10 @@ class SiteSpec(Record):
     """What is true in the simulated workshop."""
 
     seed: Annotated[int, Field(ge=0)] = 0  # of all that is random
-    # chain, travel and true errors; random errors of a good machining centre by default
-    machine: MachineSpec = MachineSpec()
+    machine: MachineSpec = MachineSpec()  # chain, travel and true errors; random ones of a good machine if absent
     effects: tuple[FlawSpec, ...] = ()  # physical effects at work, by the catalogue's ids
     pointer: Pointer = Pointer()  # true errors of the rotary pointer
-    # standard deviation of a true station from its estimate per coordinate, m; each setup's own `position_uncertainty`
-    # if absent
+    # standard deviation of true stations per coordinate, m; each setup's own `position_uncertainty` if absent
     station_uncertainty: NotNegative | None = None
     target_uncertainty: NotNegative | None = None  # likewise of a target on the table
     mirror_tilt: NotNegative = 1e-3  # angle between a flat mirror's normal and its beam, in a random direction, rad

@@ -38,8 +38,7 @@ class Change:
 
     name: str  # error motion, squareness, `B_mean_X`, effect's coefficient or `position_error`
     unit: str  # m, rad or another one of SI
-    # before, after: its size by either measurement: the range of a motion, the value of a single number, the RMS of
-    # position errors
+    # before, after: its size by either: the range of a motion, a single number's value, the RMS of position errors
     before: float
     after: float
     change: float  # later less earlier; of many values the one with the largest normalised change, in a common datum

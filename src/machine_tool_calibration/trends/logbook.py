@@ -169,10 +169,7 @@ class Logbook:
         self.path = path
 
     def add(self, entry: Entry) -> tuple[Entry, bool]:
-        """Enter a session: the entry as it is in the logbook, and whether it is new; otherwise nothing was changed.
-
-        A CalibrationError if the file is no logbook, or cannot be written.
-        """
+        """Enter a session: the entry as it is in the logbook, and whether it is new; a CalibrationError if it fails."""
         with self._open(make=True) as database, database:
             database.execute("BEGIN IMMEDIATE")  # so that nobody enters between looking and entering
             if found := self._select(database, "WHERE sha256 = ?", entry.sha256):
@@ -202,10 +199,7 @@ class Logbook:
         return {sha256: json.loads(document) for sha256, document in rows}
 
     def entries(self, machine: str | None = None) -> tuple[Entry, ...]:
-        """Those of a machine in the order of their dates; of all machines where none is named.
-
-        A CalibrationError if there is no such file, it is no logbook, or has no such machine.
-        """
+        """Those of a machine, or all, by date; a CalibrationError: no such file or machine, or it is no logbook."""
         if not self.path.exists():
             raise CalibrationError(f"{self.path}: no such logbook; `mtcal logbook add {self.path} SESSION` begins one")
         with self._open() as database:

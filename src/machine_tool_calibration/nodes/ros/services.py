@@ -100,10 +100,7 @@ class Outcomes:
     def answer(
         self, answers: Iterable[Reply], verb: str, stamp: int, text: str, values: Mapping[str, object], kind: str = ""
     ) -> None:
-        """Publish what a request gave at a time, ns, then answer all who asked.
-
-        `values` are for programs, SI; `kind` says in a word why there are none, and is empty where there are.
-        """
+        """Publish what a request gave at a time, ns, `values` or the `kind` of failure, then answer all who asked."""
         goal = uuid.uuid4().hex
         level = messages.Level.ERROR if kind else messages.Level.OK
         self.tell(verb, goal, stamp, text, {**({"kind": kind} if kind else {}), **values}, level)

@@ -30,8 +30,7 @@ _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others
 _NO_NUMBER = 2**64 - 1
 # What any publisher of a clock can give; a lost tick costs no more than its step.
 _CLOCK = Qos(depth=1000, reliability="best_effort")
-# ns that a message waits for a tick that was sent after it, so that none before it is missing
-_OVERTAKEN = 1_000_000_000
+_OVERTAKEN = 1_000_000_000  # ns that a message waits for a tick sent after it, so that none before it is missing
 _TICKS_KEPT = 2_000  # ticks that are kept for messages that are still on their way
 
 

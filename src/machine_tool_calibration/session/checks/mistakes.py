@@ -37,10 +37,7 @@ _SLIPPED = (1, -1, 2, -2)  # rows
 
 
 def explanation(session: Session, judgements: Iterable[Judgement]) -> str | None:
-    """The first mistake without which a measurement fits that does not fit as it is; None if there is none.
-
-    A measurement that no model can be made of without the mistake is not explained by it.
-    """
+    """The first mistake without which a measurement, and a model of it, fits that does not as it is; else None."""
     for judgement in judgements:
         now = judgement.misfit(session)
         if not now > judgement.absurd:

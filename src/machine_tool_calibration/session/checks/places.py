@@ -19,9 +19,7 @@ from machine_tool_calibration.words import figures, say
 _DECLARED, _LEAST_OFF, _UNDECLARED = 10.0, 0.01, 0.1
 _KNOWN = 5.0
 _FOUND = 0.15  # as far as this, m, readings of a rotary axis place stations and targets by themselves
-# Stations of an axis stand in the frame of that axis: fewer fix the motion between that and the machine's frame, and
-# show nothing.
-_FRAME = 3
+_FRAME = 3  # stations of an axis stand in its own frame: fewer fix only the motion between that and the machine's
 
 
 @dataclass(frozen=True)
