@@ -225,15 +225,12 @@ def _aims(steps: tuple[Step, ...]) -> Array:
     return np.array([step.aim or (0.0, 0.0, 0.0) for step in steps])
 
 
-@dataclass(frozen=True)
-class Forecast:
+@dataclass(frozen=True, kw_only=True)
+class Forecast(Detectable):
     """What a measurement will determine."""
 
     result: Result  # as it will be for a machine without errors: its uncertainties and gaps are those to come
     seconds: float  # of motion and waiting
-    visible: tuple[Visible, ...]  # effects that it could show, the catalogue's order
-    absorbed: tuple[str, ...]  # effects that the model takes up
-    excluded: Mapping[str, str]  # effects that cannot act here, with the reason
     warming: float  # K per hour that was assumed
     dominant: Dominant | None = None  # what will dominate the map's uncertainty by the sizes assumed
 
@@ -283,4 +280,4 @@ def forecast(
     )
     progress("what dominates", 0.85)
     limits = dominant(planned.session, model=model, angular=angular, drift=DRIFT * abs(warming))
-    return Forecast(result, planned.seconds, found.visible, found.absorbed, found.excluded, warming, limits)
+    return Forecast(**vars(found), result=result, seconds=planned.seconds, warming=warming, dominant=limits)

@@ -113,11 +113,7 @@ def recorded_texts(session: Session) -> tuple[str, str]:
 def provenance(
     sessions: Sequence[Session], labels: Sequence[str] | None = None, *, model: str = "", effects: Sequence[str] = ()
 ) -> Provenance:
-    """The record that every result carries.
-
-    The hash is of what was recorded, whatever was left out; of several sessions, `labels` are their names and
-    `model` each variant once.
-    """
+    """The record of a result; `labels` name sessions, `model` each variant. The hash is of all that was recorded."""
     named = labels if labels is not None and len(sessions) > 1 else [""] * len(sessions)
     origins = tuple(
         Origin(label, session.description.about, _text(session.description.about.get("date")), data_hash(session))

@@ -76,10 +76,7 @@ class Pointer(Record):
     radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     def beam(self, azimuth: Array, elevation: Array, station: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
-        """(n, 3) origin, m, and (n, 3) unit direction of the true beam, from commanded angles (n,), rad.
-
-        `station` is the true rotation centre (n, 3), m, and `turn` a further turn of the azimuth, rad.
-        """
+        """(n, 3) origin, m, and direction of the true beam at commanded angles (n,), rad, with a further `turn`."""
         direction = beam_direction(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
         back: Array | float = 0.0
         for order, (cosine, sine) in self.radial.items():

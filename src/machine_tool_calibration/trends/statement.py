@@ -73,10 +73,7 @@ class Part:
 
     @property
     def datum(self) -> Array:
-        """(k, r) columns of what the coordinate system can change of it: zero, and of a straightness the slope.
-
-        A straightness's slope is part of a squareness or of the alignment (ISO 230-1, 3.4).
-        """
+        """(k, r) columns of what the coordinate system can change: zero, a straightness's slope (ISO 230-1, 3.4)."""
         if self.at is None:
             return np.zeros((1, 0))
         ones = np.ones(len(self.at))

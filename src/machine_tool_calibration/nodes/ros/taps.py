@@ -134,10 +134,7 @@ class Taps:
             self._clocks.append(Tap(topic, kind, request, self._subscribe(topic, kind, request)))
 
     def take(self, *, last: bool = False) -> list[Taken]:
-        """What has come, in the order of its coming; in simulated time in that of its sending, as far as it is dated.
-
-        The `last` time no message waits for ticks.
-        """
+        """What has come, in order, in simulated time of sending, as far as dated: the `last` time nothing waits."""
         taken: list[Taken] = []
         for tap in self.taps.values():
             self._take(tap, taken)
