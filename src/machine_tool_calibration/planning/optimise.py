@@ -366,7 +366,10 @@ class _Relaxed:
         return np.outer(shares, self.each).reshape(-1)
 
     def solved(self, tangents: Array, values: Array, *, whole: bool = False) -> tuple[float, Array]:
-        """What no plan falls below, and shares where tangents come to it; setups `whole` or not, up to `_NODES`."""
+        """What no plan falls below, and shares at which the tangents, `values` at zero, come to it.
+
+        Where they are to be there as a `whole` or not at all, as far as branch and bound comes with `_NODES`.
+        """
         from scipy import optimize  # slow to load
 
         above = np.zeros((len(tangents), self.rows.shape[1]))

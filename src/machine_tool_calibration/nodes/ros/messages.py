@@ -192,7 +192,10 @@ _PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent afte
 
 
 class StatusTopic:
-    """Says how a node, and a device behind it, is, latched, on `~/status` by default; stamps are of the clock (ns)."""
+    """Says how a node is, and the device behind it, on a topic of its own: `~/status`, latched, by default.
+
+    The clock gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
+    """
 
     def __init__(
         self,
