@@ -106,7 +106,7 @@ def seldom(
     effect = SimpleNamespace(
         why_not=lambda observations: None, coefficients_for=lambda observations, shape: coefficients
     )
-    fit = SimpleNamespace(reduced_chi_square=4.0, assembly=SimpleNamespace(models=[SimpleNamespace(observations=None)]))
+    fit = SimpleNamespace(variance=4.0, assembly=SimpleNamespace(models=[SimpleNamespace(observations=None)]))
     known = {"b0": SMALLEST} if detectable else {}
     findings = [SimpleNamespace(name="play", rank=rank, detectable=known)]
     diagnosis: Any = SimpleNamespace(fits=[fit], search=SimpleNamespace(findings=findings))

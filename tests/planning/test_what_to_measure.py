@@ -169,7 +169,7 @@ def test_an_effect_that_each_session_has_for_itself_is_planned_for_where_it_show
     then = replace(now, gram=now.gram * np.outer(scale, scale), squares=now.squares * scale**2)
     finding = SimpleNamespace(name="refractive_index", rank=0, detectable={})
     models = [build_model(day, "rigid_body")[0] for day in days]
-    fit = SimpleNamespace(reduced_chi_square=1.0, assembly=SimpleNamespace(models=models))
+    fit = SimpleNamespace(variance=1.0, assembly=SimpleNamespace(models=models))
     diagnosis = SimpleNamespace(fits=[fit], search=SimpleNamespace(findings=[finding]))
     option = next(iter(further_options(days[1])))
     found = visibilities(diagnosis, now, [(option, then)], {"refractive_index": index})  # type: ignore[arg-type]

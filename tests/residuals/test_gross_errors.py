@@ -14,7 +14,17 @@ from machine_tool_calibration.residuals.gross_errors import find_outliers, witho
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, TrackingPlan, simulate
+from machine_tool_calibration.simulation import (
+    PRESETS,
+    Chips,
+    FlawSpec,
+    MachineSpec,
+    SimulationSpec,
+    Spread,
+    TrackingPlan,
+    simulate,
+)
+from machine_tool_calibration.simulation.machine_file import Amplitudes
 
 from .. import plates
 
@@ -39,6 +49,22 @@ def with_gross_errors(session: Session, share: float, seed: int) -> tuple[Sessio
     sign = 1.0 if session.method == "probing" else rng.choice([-1.0, 1.0], n)
     changed = replace(readings, displacement=readings.displacement + np.where(hit, sign * size, 0.0))
     return session.with_readings(changed), {int(row) for row in readings.row[hit]}
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_a_gross_error_of_a_straight_machine_is_no_angular_error(seed: int) -> None:
+    """Each place read once: small angles that are drawn from wrong readings too would explain them."""
+    plan = PRESETS["step_diagonal"].model_copy(update={"repeats": 1})
+    straight = MachineSpec(random=Amplitudes(angular=0.0))
+    session = simulate(SimulationSpec(plan=plan, seed=seed, noise=1e-7, machine=straight)).session
+    readings, rng = session.readings, np.random.default_rng(seed)
+    hit = rng.choice(len(readings), 4, replace=False)
+    wrong = readings.displacement.copy()
+    wrong[hit] += 3e-6 * rng.choice([-1, 1], 4)
+    found = find_outliers(
+        session.with_readings(replace(readings, displacement=wrong)), lambda part: build_model(part)[0]
+    )
+    assert {o.row for o in found} == set(readings.row[hit].tolist())
 
 
 @pytest.mark.long(but=("rotary_axis", "tracking_2d", "probing_cross"))

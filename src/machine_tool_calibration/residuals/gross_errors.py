@@ -100,8 +100,8 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
 def _in_sound_model(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
     """Readings with gross errors, where random unknowns are not larger for them.
 
-    Large ones explain a gross error as well as a machine does that is not straight, and make it one of the map. They are
-    drawn from the readings that do not stand out where these unknowns are zero; those that do are judged beside them.
+    Large ones explain a gross error as a machine that is not straight would, and it is in the map. They are drawn from
+    the readings that do not stand out where these unknowns are zero; those that do are judged beside them.
     """
     model = build(session)
     if model.random is None:
