@@ -61,6 +61,9 @@ SHOWN: dict[str, tuple[str, float]] = {
         ("ball_bar_three_planes", 0.95, "vibration_x vibration_y vibration_z"),
         ("ball_bar_three_planes", 0.98, "reversal_periodic_x reversal_periodic_y reversal_periodic_z"),
         ("ball_bar_three_planes", 0.98, "reversal_spike_x reversal_spike_y reversal_spike_z"),
+        ("ball_bar_three_planes", 0.98, "straightness_periodic_EYX straightness_periodic_EXY"),
+        ("ball_bar_three_planes", 0.98, "straightness_periodic_EZX straightness_periodic_EXZ"),
+        ("ball_bar_three_planes", 0.98, "straightness_periodic_EZY straightness_periodic_EYZ"),
         ("drilled_plate", 0.999, "scale C0Y"),
         ("drilled_plate", 0.98, "pitch_periodic_x pitch_periodic_y"),
         ("drilled_plate", 0.93, "EXX EYX EXY EYY"),
@@ -102,6 +105,7 @@ NEVER = {
     *("squareness_drift_C0Y", "squareness_drift_B0Z", "squareness_drift_A0Z", "rotary_axis_drift"),
     *(f"{name}_{axis}" for name in ("screw_growth", "servo_mismatch", "reversal_spike", "vibration") for axis in "xyz"),
     *("reversal_periodic_x", "reversal_periodic_y", "reversal_periodic_z"),
+    *(f"straightness_periodic_{name}" for name in ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ")),
 }
 
 

@@ -14,7 +14,7 @@ from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
 from machine_tool_calibration.effects.linear_drift import LinearDrift
 from machine_tool_calibration.effects.lost_motion import LostMotion
 from machine_tool_calibration.effects.mirror_misalignment import MirrorMisalignment
-from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic, ReversalPeriodic
+from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic, ReversalPeriodic, StraightnessPeriodic
 from machine_tool_calibration.effects.pointer_axis_offset import PointerAxisOffset
 from machine_tool_calibration.effects.pointer_radial_error import PointerRadialError
 from machine_tool_calibration.effects.pointer_zero_offset import PointerZeroOffset
@@ -46,13 +46,14 @@ ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
 
 _MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC")
+_STRAIGHTNESS = tuple(name for name in _MOTIONS if name[1] in "XYZ" and name[1] != name[2])
 # The effects in their order, with the axes or errors of axes of which there is one each.
 _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"),
     (Reversal, REVERSALS), (ReversalSpike, "xyz"), (ServoMismatch, "xyz"), (Vibration, "xyz"),
     (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"),
     (ScrewGrowth, "xyz"),
-    (PitchPeriodic, "xyz"), (ReversalPeriodic, "xyz"),
+    (PitchPeriodic, "xyz"), (ReversalPeriodic, "xyz"), (StraightnessPeriodic, _STRAIGHTNESS),
     RefractiveIndex, DeadPath, LinearDrift, StationDrift,
     MirrorMisalignment, PointerRadialError, PointerZeroOffset,
     PointerAxisOffset, RetroreflectorForm,

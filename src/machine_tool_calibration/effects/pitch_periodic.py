@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups, peaks
-from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape, axis_unit
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
@@ -130,6 +130,24 @@ class ReversalPeriodic(PitchPeriodic):
     def sign(self, observations: Observations) -> Array:
         """The direction of approach."""
         return observations.readings.column(f"dir_{self.axis}")
+
+
+class StraightnessPeriodic(PitchPeriodic):
+    """The same across the axis: a screw that is bent, or the balls of a guideway, moves the carriage aside.
+
+    In a circular test it would otherwise be a vibration, which has a phase of its own in each run.
+    """
+
+    id = "straightness_periodic_{name}"
+    title = say("effect.straightness_periodic")
+    formula = "{name} = s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead)"
+    source = "ISO 230-1:2012, 3.4.3 (straightness error motion); run-out of a screw"
+    methods = ("ball_bar",)
+    seldom = True
+
+    def along(self, observations: Observations) -> Array:
+        """(n,) the part of the direction of the error, across the axis, that each reading senses."""
+        return np.asarray(observations.direction @ axis_unit(self.name[1].lower()))
 
 
 @lru_cache(maxsize=32)  # asked for again with every frequency

@@ -156,6 +156,20 @@ def _motion(name: str) -> Flaw:
     )
 
 
+def _bent(name: str) -> Flaw:
+    """A screw that is not straight moves the carriage aside once a lead."""
+    axis, component = name[-1], motions.COMPONENTS.index(name[:2])
+
+    def disturb(size: float, given: Parameters, scene: Scene) -> Disturbance:
+        errors = np.zeros((len(scene), 6))
+        errors[:, component] = _pitch(size, given, scene, axis)
+        return Disturbance(errors={axis: errors})
+
+    text = f"error motion {name}: " + _WAVES.format(a=axis.lower())
+    given: Parameters = {"lead": 0.012}
+    return Flaw(f"straightness_periodic_{name}", text, "m", 1.5e-6, disturb, given, drawn_phase, CIRCLE)
+
+
 _EXPANDS = "size * (temperature_{a} - 20) * ({a} - fixed_point)"
 _GROWS = "size * ({a} - fixed_point) * (1 - exp(-time / tau))"
 _SHAKES = "size * sin(2 pi frequency time + phase)"
@@ -169,6 +183,7 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
     *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
     *_along("reversal_periodic", f"dir_{{a}} * {_WAVES}", 1.5e-6, _cogging, {"lead": 0.012}, drawn_phase),
+    *(_bent(component + axis) for axis in "XYZ" for component in motions.COMPONENTS[:3] if component[1] != axis),
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
          lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
