@@ -333,11 +333,8 @@ class _Search:
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""
         rows, place = self.readings.row, self.readings.alike(approach=False)
-        near = (
-            self.part.point_of_reading()
-            if self.part.dimension
-            else self.readings.alike(setup=False, approach=False, signed=False)
-        )
+        any_side = self.readings.alike(setup=False, approach=False, signed=False)
+        near = self.part.point_of_reading() if self.part.dimension else any_side
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
         left = np.bincount(near, ~gone)

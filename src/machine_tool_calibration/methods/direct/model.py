@@ -175,9 +175,8 @@ class DirectModel(MethodModel):
     @property
     def sigma(self) -> Array:
         """(n,) standard uncertainty by which each reading counts, m: with noise of its own direction and setup."""
-        return (
-            super().sigma if self.noise is None else np.maximum(super().sigma, self.declared_sigma * self.noise.factor)
-        )
+        least = super().sigma
+        return least if self.noise is None else np.maximum(least, self.declared_sigma * self.noise.factor)
 
     @property
     def own(self) -> tuple[Parameter, ...]:
