@@ -10,7 +10,7 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.residuals.gross_errors import find_outliers, without
+from machine_tool_calibration.residuals.gross_errors import find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
@@ -61,10 +61,11 @@ def test_a_gross_error_of_a_straight_machine_is_no_angular_error(seed: int) -> N
     hit = rng.choice(len(readings), 4, replace=False)
     wrong = readings.displacement.copy()
     wrong[hit] += 3e-6 * rng.choice([-1, 1], 4)
-    found = find_outliers(
-        session.with_readings(replace(readings, displacement=wrong)), lambda part: build_model(part)[0]
-    )
+    measured = session.with_readings(replace(readings, displacement=wrong))
+    found = find_outliers(measured, lambda part: build_model(part)[0])
     assert {o.row for o in found} == set(readings.row[hit].tolist())
+    # An effect that is looked for without what is doubtful is no polynomial through one of them.
+    assert {o.row for o in found} <= set(suspected_rows(measured, lambda part: build_model(part)[0]).tolist())
 
 
 @pytest.mark.long(but=("rotary_axis", "tracking_2d", "probing_cross"))

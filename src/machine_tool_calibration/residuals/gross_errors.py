@@ -16,9 +16,10 @@ of which nothing says which is wrong (look-alikes) are all set aside, and named 
 `estimation/priors.py`.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     found: list[Outlier] = []
     for _ in range(ROUNDS):
         try:
-            more = _in_sound_model(without(session, found, as_lost=True), build)
+            more = _Search.of(without(session, found, as_lost=True), build).outliers()
         except (ModelError, np.linalg.LinAlgError):
             # Too little for the model, which its own fit will say; or what was set aside leaves too little.
             return []
@@ -95,22 +96,6 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
         return []
     return sorted(found, key=lambda o: -abs(o.studentized))
-
-
-def _in_sound_model(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
-    """Readings with gross errors, where random unknowns are not larger for them.
-
-    Large ones explain a gross error as a machine that is not straight would, and it is in the map. They are drawn from
-    the readings that do not stand out where these unknowns are zero; those that do are judged beside them.
-    """
-    model = build(session)
-    if model.random is None:
-        return _Search(model).outliers()
-    doubtful = _Search(model.without(frozenset(model.random.names))).outliers()
-    if not doubtful:
-        return _Search(model).outliers()
-    sound = build(without(session, doubtful, as_lost=True))
-    return _Search(model.drawn_as(sound)).outliers({one.row for one in doubtful})
 
 
 def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = False) -> Session:
@@ -129,7 +114,7 @@ def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) ->
         build: makes the model of a session.
     """
     try:
-        search = _Search(build(session))
+        search = _Search.of(session, build)
         rows = search.readings.row[search.suspected()]
     except (ModelError, np.linalg.LinAlgError):
         rows = np.zeros(0, dtype=np.int64)
@@ -170,11 +155,13 @@ class _Search:
 
     Attributes:
         start: shared unknowns and points at which the readings are linearised.
+        doubtful: rows that are judged in any case.
         pattern: whether courses of the runs were subtracted from the readings.
         explained: (n,) which readings a course of their run or their repeats explain.
     """
 
-    def __init__(self, model: MethodModel) -> None:
+    def __init__(self, model: MethodModel, doubtful: Sequence[int] = ()) -> None:
+        self.doubtful = list(doubtful)
         self.problem = assemble([model]).problem
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
@@ -186,11 +173,26 @@ class _Search:
         self.start = theta, local[0]
         self.pattern, self.explained = False, np.zeros(self.n, dtype=bool)
 
-    def outliers(self, doubtful: Collection[int] = ()) -> list[Outlier]:
-        """Readings with gross errors, and their look-alikes; rows that are `doubtful` are judged in any case."""
-        if not doubtful and self._only_noise():
+    @classmethod
+    def of(cls, session: Session, build: Callable[[Session], MethodModel]) -> Self:
+        """In the model of a session, whose random unknowns are not larger for gross errors.
+
+        Large ones explain a gross error as a machine that is not straight would, and it is in the map. They are drawn
+        from readings that do not stand out where these unknowns are zero; those that do are judged beside them.
+        """
+        model = build(session)
+        if model.random is None:
+            return cls(model)
+        doubtful = cls(model.without(frozenset(model.random.names))).outliers()
+        if not doubtful:
+            return cls(model)
+        return cls(model.drawn_as(build(without(session, doubtful, as_lost=True))), [one.row for one in doubtful])
+
+    def outliers(self) -> list[Outlier]:
+        """Readings with gross errors, and their look-alikes."""
+        if self._only_noise():
             return []
-        asked = np.union1d(self._suspects(), np.flatnonzero(np.isin(self.readings.row, list(doubtful))))
+        asked = self._asked()
         for _ in range(ROUNDS):
             held = self._judged(asked, self._fit(asked))
             fit = self._fit(held)
@@ -217,15 +219,21 @@ class _Search:
         return self._named(held, fit, alike) if fit.dof >= max(len(np.setdiff1d(held, list(alike))), 1) else []
 
     def suspected(self) -> IntArray:
-        """Readings that a robust fit suspects, if one of them lies farther out than noise does."""
+        """Readings that a robust fit suspects or that are doubtful, if one of them lies farther out than noise does."""
         if self._only_noise():
             return np.zeros(0, dtype=np.int64)
-        asked = self._suspects()
+        asked = self._asked()
         fit = self._fit(asked)
         return asked if (np.abs(fit.predicted[asked]) > fit.bulk.limit).any() else asked[:0]
 
+    def _asked(self) -> IntArray:
+        """Readings that are judged first: those that are doubtful in any case."""
+        return np.union1d(self._suspects(), np.flatnonzero(np.isin(self.readings.row, self.doubtful)))
+
     def _only_noise(self) -> bool:
-        """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
+        """Whether none is doubtful or stands out, nor do all scatter more than declared, as wrong ones that hide do."""
+        if self.doubtful:
+            return False
         fit = self._fit(np.zeros(0, dtype=np.int64))
         return fit.bulk.scale < priors.MISFIT and bool((np.abs(fit.predicted) < fit.bulk.limit).all())
 
