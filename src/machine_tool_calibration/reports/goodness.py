@@ -84,13 +84,14 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
     points = np.array(content.get("points", ()), dtype=float).reshape(-1, 3)
     if not len(points) or not only_if_right(document["p_value"], content):
         return
-    if (np.ptp(points, axis=0) > SAME_POSITION).sum() > 1:
-        yield say("fit.free")
-        return
     places = len(np.unique(np.round(points / SAME_POSITION), axis=0))
-    nodes = min(
-        (len(table["nodes"]) for table in content.get("tables", {}).values() if "nodes" in table), default=places
-    )
+    tables = list(content.get("tables", {}).values())
+    if (np.ptp(points, axis=0) > SAME_POSITION).sum() > 1:
+        # With a value for each place, as where each axis moved once, nothing could tell.
+        if sum((np.array(table["value_u"], dtype=float) > 0.0).sum() for table in tables) < places:
+            yield say("fit.free")
+        return
+    nodes = min((len(table["nodes"]) for table in tables if "nodes" in table), default=places)
     if nodes < places:
         yield say("fit.free_nodes", nodes=nodes, places=places)
 
