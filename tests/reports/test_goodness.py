@@ -8,7 +8,7 @@ from ..told import keys
 
 def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes() -> None:
     points = [[0.001 * k, 0.0, 0.0] for k in range(300)]
-    content = {"points": points, "tables": {"EZX": {"nodes": points[::15]}}, "scatter": None}
+    content = {"points": points, "tables": {"EZX": {"nodes": points[::15], "value_u": 20 * [1e-6]}}, "scatter": None}
     document = {"method": "direct", "model": "rigid_body", "p_value": 1e-12, "error_map": content}
     (text,) = free_words(document)
     assert keys(text) == ["fit.free_nodes"] and "20 nodes" in text and "300 places" in text
@@ -18,3 +18,6 @@ def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes(
     assert not list(free_words({**document, "p_value": 0.5}))
     wide = {**content, "points": [*points, [0.0, 0.1, 0.0]]}
     assert keys(next(free_words({**document, "error_map": wide}))) == ["fit.free"]
+    # Each axis moved once, and there is a value for each place.
+    once = {**content, "points": [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]], "tables": {"EXX": {"value_u": [0.0, 1e-6, 1e-6]}}}
+    assert not list(free_words({**document, "error_map": once}))
