@@ -39,14 +39,14 @@ from machine_tool_calibration.effects.vibration import Vibration
 from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.effects.workpiece_thermal import WorkpieceThermal
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.machine.error_motions import SQUARENESS
+from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 
 ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
 
 _MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC")
-_STRAIGHTNESS = tuple(name for name in _MOTIONS if name[1] in "XYZ" and name[1] != name[2])
+_STRAIGHTNESS = tuple(name for name in _MOTIONS if parse_motion(name).is_straightness)
 # The effects in their order, with the axes or errors of axes of which there is one each.
 _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"),

@@ -99,9 +99,9 @@ class JointFit(Solved):
     @cached_property
     def reduced_chi_square(self) -> float:
         """Sum of squared residuals over the declared uncertainty, over the degrees of freedom."""
-        counted = [self.normalised(k) ** 2 for k in range(len(self.fits))]
-        over = [(m.sigma / m.declared_sigma) ** 2 - 1.0 for m in self.assembly.models]
-        more = sum(float(one @ other) for one, other in zip(counted, over, strict=True))
+        more = 0.0
+        for k, model in enumerate(self.assembly.models):
+            more += float(self.normalised(k) ** 2 @ ((model.sigma / model.declared_sigma) ** 2 - 1.0))
         return self.variance + more / self.solution.degrees_of_freedom
 
     @property

@@ -101,21 +101,23 @@ def distinct_nodes(positions: Array) -> Array:
     """(k,) increasing positions, those that are next to the one before left out."""
     distinct = np.unique(np.round(positions, 9)) + 0.0
     same = max(_SAME_NODE * float(np.ptp(distinct)), 1e-9)
-    kept = [float(distinct[0])]
-    for value in distinct[1:]:
-        if value - kept[-1] > same:
-            kept.append(float(value))
-    return np.array(kept)
+    return np.array(_apart(distinct, np.nextafter(same, np.inf)))
 
 
 def thinned(nodes: Array, count: int) -> Array:
     """About so many of the nodes, spread evenly: none nearer to the next than half of an even step."""
     wanted, step = np.linspace(nodes[0], nodes[-1], count, retstep=True)
-    kept: list[float] = []
-    for node in np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)]).tolist():
-        if not kept or node - kept[-1] >= 0.5 * step:
-            kept.append(node)
+    kept = _apart(np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)]), 0.5 * step)
     return np.array([*kept[:-1], nodes[-1]]) if len(kept) > 1 else np.array([nodes[0], nodes[-1]])
+
+
+def _apart(ordered: Array, least: float) -> list[float]:
+    """Those of increasing values that are at least so far from the one kept before."""
+    kept = [float(ordered[0])]
+    for value in ordered[1:].tolist():
+        if value - kept[-1] >= least:
+            kept.append(value)
+    return kept
 
 
 def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[MachineTable]:

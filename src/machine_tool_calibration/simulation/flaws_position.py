@@ -156,28 +156,37 @@ def _motion(name: str) -> Flaw:
     )
 
 
-def _bent(name: str) -> Flaw:
-    """A screw that is not straight moves the carriage aside once a lead."""
+def _carriage(
+    flaw: str, name: str, formula: str, shift: Along, given: Parameters | None = None, draw: Draw | None = None,
+    *, methods: tuple[str, ...] = LINEAR,
+) -> Flaw:  # fmt: skip
+    """A flaw of an axis that moves its carriage as a body, by one error motion: shifted or turned."""
     axis, component = name[-1], motions.COMPONENTS.index(name[:2])
 
     def disturb(size: float, given: Parameters, scene: Scene) -> Disturbance:
         errors = np.zeros((len(scene), 6))
-        errors[:, component] = _pitch(size, given, scene, axis)
+        errors[:, component] = shift(size, given, scene, axis)
         return Disturbance(errors={axis: errors})
 
-    text = f"error motion {name}: " + _WAVES.format(a=axis.lower())
-    given: Parameters = {"lead": 0.012}
-    return Flaw(f"straightness_periodic_{name}", text, "m", 1.5e-6, disturb, given, drawn_phase, CIRCLE)
+    unit, typical = ("rad", 8e-6) if name[1] in "ABC" else ("m", 1.5e-6)
+    text = f"error motion {name}: " + formula.format(a=axis.lower())
+    return Flaw(f"{flaw}_{name}", text, unit, typical, disturb, given or {}, draw, methods)
 
 
+def _bent(name: str) -> Flaw:
+    """A screw that is not straight moves the carriage aside once a lead."""
+    return _carriage("straightness_periodic", name, _WAVES, _pitch, {"lead": 0.012}, drawn_phase, methods=CIRCLE)
+
+
+_HALF_WIDTH = "-size * dir_{a} (half width)"
 _EXPANDS = "size * (temperature_{a} - 20) * ({a} - fixed_point)"
 _GROWS = "size * ({a} - fixed_point) * (1 - exp(-time / tau))"
 _SHAKES = "size * sin(2 pi frequency time + phase)"
 _WAVES = "size * sin(2 pi {a} / lead + phase)"
 POSITION_FLAWS: tuple[Flaw, ...] = (
-    *_along("backlash", "-size * dir_{a} (half width)", 1.5e-6, _backlash),
-    *_along("backlash", "-size * dir_{a} (half width)", 1.3e-5, _backlash, axes="AB", unit="rad", methods=TABLE[:1]),
-    *_along("backlash", "-size * dir_{a} (half width)", 1.3e-5, _backlash, axes="C", unit="rad", methods=TABLE),
+    *_along("backlash", _HALF_WIDTH, 1.5e-6, _backlash),
+    *_along("backlash", _HALF_WIDTH, 1.3e-5, _backlash, axes="AB", unit="rad", methods=TABLE[:1]),
+    *_along("backlash", _HALF_WIDTH, 1.3e-5, _backlash, axes="C", unit="rad", methods=TABLE),
     *_along("thermal_expansion", _EXPANDS, 8e-6, _expansion, {**_COLD, "fixed_point": 0.0}, unit="1/K"),
     *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
     *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
@@ -192,17 +201,8 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
 
 
 def _reversal(name: str) -> Flaw:
-    """The carriage lies against the other side of its guideway when it comes back: shifted or turned as a body."""
-    axis, component = name[-1], motions.COMPONENTS.index(name[:2])
-
-    def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
-        errors = np.zeros((len(scene), 6))
-        errors[:, component] = -size * scene.toward(axis)
-        return Disturbance(errors={axis: errors})
-
-    unit, typical = ("rad", 8e-6) if name[1] in "ABC" else ("m", 1.5e-6)
-    text = f"error motion {name}: -size * dir_{axis.lower()} (half width)"
-    return Flaw(f"reversal_{name}", text, unit, typical, disturb, methods=LINEAR)
+    """The carriage lies against the other side of its guideway when it comes back."""
+    return _carriage("reversal", name, _HALF_WIDTH, _backlash)
 
 
 _SPIKES = "-size * dir_{a} * exp(-path since {a} reversed / reach)"

@@ -49,7 +49,9 @@ class Columns:
 
 def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> Columns:
     """Those of effects that are not in the model, and of functions of the covariates, as the model leaves them."""
-    every = [*candidates, *structures]
+    # As many functions as there are degrees of freedom leave nothing of anything, and are no pattern.
+    dof = pool.fit.without_random.solution.degrees_of_freedom
+    every = [*candidates, *(s for s in structures if len(s.shapes[0].columns) < dof)]
     columns = np.concatenate([np.zeros((0, len(pool))), *(s.every for c in every for s in c.shapes)])
     projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
     gram, k = gram_of(pool, projected), len(columns)
@@ -63,9 +65,6 @@ def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: S
         few = _few(candidate, candidates)
         for shaped in candidate.shapes:
             past = first + len(shaped.every)
-            if c >= len(candidates) and len(shaped.columns) >= gram.dof:  # so many functions leave nothing of anything
-                first = past
-                continue
             if c >= len(candidates) and _is_an_effect(plain, gram.inner, first, shaped):
                 shaped, first = replace(shaped, columns=shaped.columns[1:]), first + 1
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
