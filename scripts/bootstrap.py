@@ -16,6 +16,7 @@ reads too, so that it can say what it needs.
 
 from __future__ import annotations
 
+import ast
 import fcntl
 import hashlib
 import importlib.util
@@ -215,9 +216,54 @@ def install(python: Path, extras: list[str]) -> None:
             elif source.exists():
                 shutil.copy2(source, folder)
         wanted = f"{folder}[{','.join(extras)}]" if extras else folder
-        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
-        run([*pip, wanted], "pip could not install it; its messages are above")
+        if not installed_by_uv(str(python), wanted, beside_ros="ros" not in extras):
+            pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
+            run([*pip, wanted], "pip could not install it; its messages are above")
     compile_all(str(python), libraries(str(python)))
+
+
+def installed_by_uv(python: str, wanted: str, beside_ros: bool) -> bool:
+    """Whether uv could install it, which takes it a sixth of pip's time.
+
+    It is not asked where rclpy is the system's: it does not see the libraries that are there, and would put a NumPy
+    beside them that they were not made for; nor where pip is told what uv cannot be.
+    """
+    options = None if beside_ros else uv_options(python)
+    if options is None or not succeeds([python, "-m", "pip", "install", "--quiet", "uv"]):
+        return False
+    command = [python, "-m", "uv", "pip", "install", "--quiet", "--python", python, *options]
+    return succeeds([*command, "--reinstall-package", "machine_tool_calibration", wanted])
+
+
+def succeeds(command: list[str]) -> bool:
+    """Whether a step does what it should; what it says of it is not shown."""
+    return subprocess.run(command, env=undisturbed_environment(), capture_output=True).returncode == 0
+
+
+UV_OPTIONS = {
+    "index-url": "--default-index", "extra-index-url": "--index", "find-links": "--find-links",
+    "constraint": "--constraint",
+}  # fmt: skip
+NOT_UVS = {"no-index", "trusted-host", "client-cert", "proxy", "only-binary", "no-binary", "pre", "requirement", "user"}
+
+
+def uv_options(python: str) -> list[str] | None:
+    """What pip is configured to do (pip.conf, PIP_... variables), for uv; None where uv has no word for it."""
+    listed = [python, "-m", "pip", "config", "list"]
+    done = subprocess.run(listed, env=undisturbed_environment(), capture_output=True, text=True)
+    if done.returncode != 0:
+        return None
+    # as pip chooses among several indexes
+    options = ["--index-strategy", "unsafe-best-match"]
+    for line in done.stdout.splitlines():
+        name, _, value = line.partition("=")
+        name = name.rpartition(".")[2]
+        if name in NOT_UVS:
+            return None
+        if name in UV_OPTIONS:
+            for one in ast.literal_eval(value).split():
+                options += [UV_OPTIONS[name], one]
+    return options
 
 
 def compile_all(python: str, folder: str) -> None:

@@ -142,3 +142,26 @@ def test_what_is_installed_is_compiled_but_for_the_tests_in_it(bootstrap: Module
         (folder / name).write_text(text)
     bootstrap.compile_all(sys.executable, str(folder))
     assert [path.name.split(".")[0] for path in folder.rglob("*.pyc")] == ["used"]
+
+
+def test_uv_is_told_what_pip_is_configured_to_do(
+    bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Or is not asked, where it has no word for it."""
+    settings = tmp_path / "pip.conf"
+    monkeypatch.setenv("PIP_CONFIG_FILE", str(settings))
+    for name in [name for name in os.environ if name.startswith("PIP_") and name != "PIP_CONFIG_FILE"]:
+        monkeypatch.delenv(name)
+    settings.write_text(
+        "[global]\nindex-url = https://here.example/simple\nfind-links =\n  /wheels\n  /more\ntimeout = 9\n"
+    )
+    options = bootstrap.uv_options(sys.executable)
+    pairs = set(zip(options[::2], options[1::2], strict=True))
+    assert {("--default-index", "https://here.example/simple"), ("--find-links", "/more")} < pairs
+    settings.write_text("[global]\nno-index = true\n")
+    assert bootstrap.uv_options(sys.executable) is None
+    assert not bootstrap.installed_by_uv(sys.executable, "nothing", beside_ros=False)
+
+
+def test_beside_a_ros_that_is_installed_pip_installs(bootstrap: ModuleType) -> None:
+    assert not bootstrap.installed_by_uv(sys.executable, "nothing", beside_ros=True)
