@@ -13,13 +13,13 @@ import yaml
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.errors import ModelError, SessionError
-from machine_tool_calibration.methods.build import error_map
+from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, all_candidates, best_plan, quickest_plan
 from machine_tool_calibration.planning.design import Candidates
-from machine_tool_calibration.planning.dominant import expected_model
+from machine_tool_calibration.planning.dominant import expecting
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import _Relaxed, _relaxed, bound, quickest, search
@@ -89,10 +89,12 @@ def test_a_part_of_the_candidates_is_judged_as_its_own_fit(name: str) -> None:
     candidates = _candidates(offered)
     u = np.sqrt(candidates.variances(offered.weights(chosen)))
 
-    alone = fit_models([expected_model(planned_session(offered.procedure_of(chosen)).session, None)])
+    alone = fit_models([expecting(build_model(planned_session(offered.procedure_of(chosen)).session)[0])])
     published = error_map(declared(alone).fits[0])
     own = published.uncertainty.reshape(-1)
-    whole = error_map(declared(fit_models([expected_model(planned_session(offered.procedure).session, None)])).fits[0])
+    whole = error_map(
+        declared(fit_models([expecting(build_model(planned_session(offered.procedure).session)[0])])).fits[0]
+    )
     told = np.isfinite(whole.uncertainty.reshape(-1)) & (whole.uncertainty.reshape(-1) > 0)
     wanted = np.where(np.isfinite(own), own, np.inf)[told]
     # the two are linearised where their own readings, which scatter, put stations and points

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.model.fit import fit_models
@@ -141,7 +142,7 @@ def test_where_readings_dominate_nothing_is_proposed(simulated: Simulated) -> No
 def test_sizes_that_are_not_assumed_are_taken_from_the_session(simulated: Simulated) -> None:
     size = Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=2e-5, squareness=3e-5)
     session = simulated("step_diagonal", 4, plan=LONG, machine=MachineSpec(random=size))
-    found = limits_of(session)
+    found = limits_of(session, build_model(session)[0])
     assert found is not None
     assert 5e-6 < found.angular < 2e-5
     assert found.cause == "angular errors"
@@ -155,7 +156,8 @@ def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) 
     time = session.readings.columns["time"]
     for warming, expected in ((4.0, 4.0 * DRIFT), (0.2, DRIFT)):
         columns = {**session.readings.columns, "temperature_air": 20.0 + warming * time / 3600.0}
-        found = limits_of(session.with_readings(replace(session.readings, columns=columns)))
+        warmed = session.with_readings(replace(session.readings, columns=columns))
+        found = limits_of(warmed, build_model(warmed)[0])
         assert found is not None and found.drift == pytest.approx(expected, rel=1e-9)
 
 

@@ -62,7 +62,8 @@ def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Sim
     assert way.cosine_before == pytest.approx(1.0, abs=1e-6)
     assert way.separates
     assert way.apart_before < 1.0 < 6.0 < way.apart_after
-    assert advice.dominant is not None and advice.dominant == limits_of(found.chosen.sessions[0])
+    session = found.chosen.sessions[0]
+    assert advice.dominant is not None and advice.dominant == limits_of(session, build_model(session)[0])
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ Refused is what no machine has: errors of centimetres, and instruments that do n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -46,6 +46,9 @@ class FitRequest:
     own: tuple[Effect, ...] = ()  # the user's own effects, beside the catalogue
     # use all readings; otherwise those that stand out of all others of their session are set aside
     keep_all: bool = False
+    # models of its sessions without effects, by session and variant, as far as they were made: of this choice and of
+    # those with other effects
+    made: dict[tuple[int, str | None], tuple[Session, Built]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         several = self.labels is not None and len(self.sessions) > 1
@@ -64,7 +67,7 @@ class FitRequest:
 
     def instead(self, at: int, session: Session) -> FitRequest:
         """With another session in the place of one."""
-        return replace(self, sessions=(*self.sessions[:at], session, *self.sessions[at + 1 :]))
+        return replace(self, sessions=(*self.sessions[:at], session, *self.sessions[at + 1 :]), made=dict(self.made))
 
     @property
     def present(self) -> list[Effect]:
@@ -83,7 +86,13 @@ class FitRequest:
 
     def base(self, session: Session) -> Built:
         """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""
-        return build_model(session, self.model if len(self.sessions) == 1 else sharing_variant(session, self.model))
+        variant = self.model if len(self.sessions) == 1 else sharing_variant(session, self.model)
+        if not any(session is own for own in self.sessions):
+            return build_model(session, variant)
+        key = id(session), variant
+        if key not in self.made:
+            self.made[key] = session, build_model(session, variant)
+        return self.made[key][1]
 
     def finished(self, base: Built) -> Built:
         """The same as far as it is the session's alone: with the effects, unless several sessions share them."""

@@ -13,11 +13,12 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.design import Candidates, SharedErrors, effect_sizes, map_errors
-from machine_tool_calibration.planning.dominant import ANGULAR, expected_model
+from machine_tool_calibration.planning.dominant import ANGULAR, expecting
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import bound, quickest, search
@@ -178,7 +179,7 @@ def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tup
 
     def fitted(procedure: Procedure) -> JointFit:
         session = planned_session(procedure, assumed.warming).session
-        return fit_models([_with_effects(expected_model(session, assumed.model, assumed.angular), effects)])
+        return fit_models([_with_effects(expecting(build_model(session, assumed.model)[0], assumed.angular), effects)])
 
     everything = every_setup = fitted(offered.procedure)
     if offered.choices.targets:  # the map is wanted where it is now

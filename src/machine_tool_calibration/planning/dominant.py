@@ -12,6 +12,7 @@ there: its share is what one of the expected size would do to the map. A further
 left of all three.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalMod
 from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.planning.options import Proposal, further_options
+from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.session.session import Session
 
 ANGULAR = 5e-6
@@ -76,23 +77,35 @@ class Dominant:
 
 
 def dominant(
-    session: Session, *, model: str | None = None, angular: float | None = ANGULAR, drift: float = DRIFT
+    session: Session, *, model: str | None = None, angular: float = ANGULAR, drift: float = DRIFT
 ) -> Dominant | None:
-    """What dominates the uncertainty of a session's map, and what would make it smaller; None without a map.
+    """What dominates the uncertainty of a planned session's map, and what would make it smaller; None without a map.
 
-    Of a planned session only the geometry matters. Expected are `angular`, the root mean square of the machine's
-    angular errors, rad (None: what the readings say of it), and `drift`, the rate of the reading's drift, m/s.
+    Only the geometry matters. Expected are `angular`, the root mean square of the machine's angular errors, rad, and
+    `drift`, the rate of the reading's drift, m/s.
     """
     try:
-        built = build_model(session, model)[0]
+        found = _shares(session, build_model(session, model)[0], angular, drift)
     except CalibrationError:
         return None
-    angular = angular_size(built) if angular is None else angular
+    if found is None or found.cause == "readings":
+        return found
+    tried = []
+    for option in further_options(session):
+        try:
+            tried.append((option, left_with(found, build_model(option.session, model)[0])))
+        except CalibrationError:
+            continue
+    return with_remedies(found, tried)
+
+
+def _shares(session: Session, built: MethodModel, angular: float, drift: float) -> Dominant | None:
+    """What dominates, of a session and its model."""
     angles = isinstance(built, StepDiagonalModel) and built.spread is not None
     drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
-    readings = _uncertainty(session, "translations" if angles else model, 0.0, 0.0)
-    still = _uncertainty(session, model, angular, 0.0) if angles else readings
-    whole = _uncertainty(session, model, angular, drift) if drift else still
+    readings = _uncertainty(build_model(session, "translations")[0] if angles else built, 0.0, 0.0)
+    still = _uncertainty(built, angular, 0.0) if angles else readings
+    whole = _uncertainty(built, angular, drift) if drift else still
     if not np.isfinite(readings + still + whole):
         return None
     shares = {
@@ -101,20 +114,29 @@ def dominant(
         "time": max(whole**2 - still**2, 0.0) / whole**2,
     }
     cause = max(("readings", "angular errors", "time"), key=lambda name: shares[name])
-    found = Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
-    if cause == "readings":
-        return found
-    every = [(option, _uncertainty(option.session, model, angular, drift)) for option in further_options(session)]
-    tried = [(option, after) for option, after in every if np.isfinite(after)]
-    again = next((after for option, after in tried if option.kind == "again"), whole)
-    better = sorted((t for t in tried if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
+    return Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
+
+
+def left_with(found: Dominant, extended: MethodModel) -> float:
+    """RMS standard uncertainty of the map, m, of a model of the session with a further measurement; NaN without one."""
+    return _uncertainty(extended, found.angular, found.drift)
+
+
+def with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
+    """With those of the further measurements, and of what they leave (`left_with`), that are worth it."""
+    known = [(option, after) for option, after in tried if np.isfinite(after)]
+    again = next((after for option, after in known if option.kind == "again"), found.uncertainty)
+    better = sorted((t for t in known if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
     remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST_REMEDIES])
     return replace(found, again=again, remedies=remedies)
 
 
-def limits_of(session: Session, model: str | None = None) -> Dominant | None:
-    """What dominates the uncertainty of a measured session, with what it says of angular errors and warming."""
-    return dominant(session, model=model, angular=None, drift=DRIFT * max(_warming(session), 1.0))
+def limits_of(session: Session, built: MethodModel) -> Dominant | None:
+    """What dominates in a measured session, with what it says of angular errors and warming; no remedies yet."""
+    try:
+        return _shares(session, built, angular_size(built), DRIFT * max(_warming(session), 1.0))
+    except CalibrationError:
+        return None
 
 
 def angular_size(model: MethodModel) -> float:
@@ -134,10 +156,10 @@ def _warming(session: Session) -> float:
     return float(np.ptp(air[good])) / hours if hours > 0 else 0.0
 
 
-def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:
+def _uncertainty(model: MethodModel, angular: float, drift: float) -> float:
     """RMS standard uncertainty of the map, m, with what a drift that the model lacks does to it; NaN without a map."""
     try:
-        built = expected_model(session, model, angular)
+        built = expecting(model, angular)
         still = _map(built)
         square = still.uncertainty**2
         if drift:
@@ -152,10 +174,9 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
     return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
 
 
-def expected_model(session: Session, model: str | None, angular: float = ANGULAR) -> MethodModel:
-    """A session's model with angular errors of an expected RMS, rad, whatever its readings (if taken) say of them."""
-    built = build_model(session, model)[0]
-    return built.expecting(angular) if isinstance(built, StepDiagonalModel) else built
+def expecting(model: MethodModel, angular: float = ANGULAR) -> MethodModel:
+    """A model with angular errors of an expected RMS, rad, whatever its readings (if taken) say of them."""
+    return model.expecting(angular) if isinstance(model, StepDiagonalModel) else model
 
 
 def _map(model: MethodModel) -> ErrorMap:

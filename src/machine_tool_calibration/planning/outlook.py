@@ -16,7 +16,7 @@ from machine_tool_calibration.methods.identify import JointResult, fitted_sessio
 from machine_tool_calibration.methods.map_comparison import common_points, states
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
-from machine_tool_calibration.planning.dominant import angular_size, expected_model
+from machine_tool_calibration.planning.dominant import angular_size, expecting
 from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Readings, Session
@@ -147,6 +147,6 @@ def _fitted(chosen: FitRequest, angular: float) -> tuple[JointFit, ErrorMap]:
     if len(chosen.sessions) > 1:
         fitted = fit_sessions(chosen)
         return fitted.joint, fitted.map_of(declared(fitted.joint))
-    model = expected_model(chosen.sessions[0], chosen.model, angular)
+    model = expecting(chosen.base(chosen.sessions[0])[0], angular)
     joint = fit_models([add_effects(model, chosen.present)])
     return joint, error_map(declared(joint).fits[0])

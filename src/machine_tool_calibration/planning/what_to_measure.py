@@ -17,7 +17,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.planning.dominant import Dominant, limits_of
+from machine_tool_calibration.planning.dominant import Dominant, left_with, limits_of, with_remedies
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.planning.sensing import Sensed, SizedEffect, sense
 from machine_tool_calibration.words import together
@@ -178,7 +178,8 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     """
     assumed, present = assumed_effects(diagnosis), present_effects(diagnosis)
     chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
-    limits = limits_of(sessions[0], chosen.model) if len(sessions) == 1 else None
+    limits = limits_of(sessions[0], chosen.base(sessions[0])[0]) if len(sessions) == 1 else None
+    improvable = limits is not None and limits.cause != "readings"
 
     def sensed(subject: FitRequest, at: int = 0, **new: Any) -> Sensed | None:
         try:
@@ -190,11 +191,14 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     if now is None:
         return Advice(dominant=limits)
     options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
-    seen: list[tuple[Option, Sensed]] = []
+    seen, left = list[tuple[Option, Sensed]](), list[tuple[Option, float]]()
     for number, (k, option) in enumerate(options):
         progress("what to measure next", number / len(options))
-        found = sensed(chosen.instead(k, option.session), k, first_row=option.first_row, turned=option.turned)
+        further = chosen.instead(k, option.session)
+        found = sensed(further, k, first_row=option.first_row, turned=option.turned)
         if found is not None:
+            if limits is not None and improvable:
+                left.append((option, left_with(limits, further.base(option.session)[0])))
             named = option if labels is None else replace(option, measure=together((labels[k], option.measure), ": "))
             seen.append((named, found))
     separations = []
@@ -205,6 +209,8 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
             separations.append(separation)
     others = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
+    if limits is not None and improvable:
+        limits = with_remedies(limits, left)
     return Advice(tuple(separations), tuple(seldom), limits)
 
 
