@@ -117,7 +117,7 @@ def search_effects(
         present: effects that the model has already.
         memory: readings that tell as much as one independent one, where it is known; looked for if absent.
     """
-    fit, columns = pool.fit, outside_the_model(pool, candidates, structures)
+    columns = outside_the_model(pool, candidates, structures)
     only_left = memory is not None and not candidates  # of which one look is all
     if memory is None:
         memory, found = _with_memory(columns, side_by_side)
@@ -128,6 +128,14 @@ def search_effects(
         tried = _to_some_percent(columns, found)
         columns = outside_the_model(pool, tried, structures) if tried else columns
         found = _searched(columns, side_by_side, memory)
+    return _read_off(columns, found, memory, side_by_side, present)
+
+
+def _read_off(
+    columns: Columns, found: Posterior, memory: float, side_by_side: bool, present: Sequence[Candidate]
+) -> EffectSearch:
+    """What a posterior says of every effect, of what has no cause, and of what is to be added to the model."""
+    pool, fit = columns.pool, columns.pool.fit
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
@@ -146,7 +154,7 @@ def search_effects(
         groups=groups,
         absorbed=_absorbed(columns),
         structure=structure,
-        unknown=found.of(*range(len(candidates), len(columns.candidates))) if still else 0.0,
+        unknown=found.of(*range(columns.effects, len(columns.candidates))) if still else 0.0,
         accepted=accepted,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         sets=_named_sets(columns, found),

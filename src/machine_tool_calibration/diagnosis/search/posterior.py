@@ -188,6 +188,27 @@ class _Search:
             weight = self.prior(members) + self.log_odds[k] + float(found.log_evidence[k])
             self._keep({**members, k: found.best[k]}, weight)
 
+    def grow_the_best(
+        self, most: int, width: int, pairs_among: Sequence[int], exchanging: bool
+    ) -> list[frozenset[int]]:
+        """All sets found, the likeliest first, when the best `width` of up to `most` members have no better successors.
+
+        Of the likeliest one members are `exchanging` places with others, too.
+        """
+        done, exchanged = {frozenset[int]()}, set[frozenset[int]]()
+        while True:
+            ranked = sorted(self.found, key=lambda key: -self.found[key][0])
+            least = self.found[ranked[0]][0] + _HOPELESS
+            ready = [k for k in ranked[:width] if k not in done and len(k) < most and self.found[k][0] > least]
+            if ready:
+                done.add(ready[0])
+                self.grow(self.polished(ready[0]))
+            elif exchanging and ranked[0] not in exchanged:
+                exchanged.add(ranked[0])
+                self.exchange(ranked[0], pairs_among)
+            else:
+                return ranked
+
     def _keep(self, members: Members, log_weight: float) -> None:
         key = frozenset(members)
         if key not in self.found or self.found[key][0] < log_weight:
@@ -224,19 +245,7 @@ def search(
         for k, point in pair.items():
             work.grow({k: point})
     most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST_MEMBERS, grown)
-    done, exchanged = {frozenset[int]()}, set[frozenset[int]]()
-    while True:
-        ranked = sorted(work.found, key=lambda key: -work.found[key][0])
-        least = work.found[ranked[0]][0] + _HOPELESS
-        ready = [k for k in ranked[:width] if k not in done and len(k) < most and work.found[k][0] > least]
-        if not ready and (ranked[0] in exchanged or (at_first and not side_by_side)):
-            break
-        if not ready:
-            exchanged.add(ranked[0])
-            work.exchange(ranked[0], pairs_among)
-            continue
-        done.add(ready[0])
-        work.grow(work.polished(ready[0]))
+    ranked = work.grow_the_best(most, width, pairs_among, exchanging=side_by_side or not at_first)
     found = work.marginal_with(work.found[ranked[0]][1])
     shares = softmax(found.log_null)
     return Posterior(
