@@ -136,6 +136,27 @@ def test_a_step_within_a_run_is_no_gross_error() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
+def test_of_a_scan_beside_a_step_or_at_a_steep_end_only_the_wrong_reading_is_set_aside(seed: int) -> None:
+    """Straight lines between the tables' nodes follow neither; what is read on one side of a reading does."""
+    rng, at = np.random.default_rng(seed), np.arange(101)
+    machine = 5e-6 * (at > 60 + seed) + 6e-6 * np.exp((at - 100) / 8.0)
+    machine = machine + rng.normal(0.0, 1e-7, 101) + 12e-7 * (at == 30)
+    columns = {"x": at / 100, "gx": 0 * at + 1, "gy": 0 * at, "gz": 0 * at, "displacement": machine}
+    session = plates.session(columns, 1e-7, "offset", ["EXX"])
+    found = find_outliers(session, lambda part: build_model(part)[0])
+    assert [one.row for one in found] == [30]
+
+
+def test_of_two_readings_of_one_place_the_one_that_its_neighbours_predict_is_right() -> None:
+    plan = PRESETS["straightness"].model_copy(update={"repeats": 2})
+    session = simulate(SimulationSpec(plan=plan, seed=5)).session
+    wrong = session.readings.displacement + 3e-4 * (session.readings.row == 4)
+    found = find_outliers(plates.with_columns(session, wrong), lambda part: build_model(part)[0])
+    assert [(one.row, one.ambiguous) for one in found] == [(4, False)]
+    assert found[0].deviation == pytest.approx(3e-4, rel=1e-2)
+
+
+@pytest.mark.parametrize("seed", range(4))
 def test_several_at_an_angle_with_twice_as_many_readings_as_unknowns(seed: int) -> None:
     """Measured one way only: they mirror each other, and the worst of them one by one are not the wrong ones."""
     session = simulate(SimulationSpec(plan=PRESETS["rotary_axis_one_way"], seed=300 + seed)).session

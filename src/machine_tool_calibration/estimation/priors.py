@@ -247,5 +247,8 @@ NEARLY_ALL = 0.95
 """Share of what effects explain together from which those of them that can be added are all: what is left to the others
 is no more than a law that holds to some tenths leaves of them."""
 
+STEPS_ARE_RARE = 20.0
+"""How much rarer than a wrong reading a step, or a bend too steep for the tables, is in one place of a machine."""
+
 IN_A_ROW = 0.5
 """Share of a reading's own deviation that those next to it in its run have at least where they deviate alike."""

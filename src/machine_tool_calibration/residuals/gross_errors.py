@@ -32,6 +32,7 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.fit import ShiftedPart
 from machine_tool_calibration.model.model import MethodModel, assemble
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rounding import rounding_of
 from machine_tool_calibration.residuals.gross_error_sets import (
     COMPARED,
@@ -49,6 +50,7 @@ from machine_tool_calibration.residuals.gross_error_sets import (
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.residuals.neighbours import Neighbours
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
@@ -154,10 +156,13 @@ class _Search:
     """The search in one model.
 
     Attributes:
+        once: (n,) whether the place of a reading was read once.
+        way: (n,) way of the axes up to each reading where it reads the machine's own deviation; None elsewhere.
         start: shared unknowns and points at which the readings are linearised.
         doubtful: rows that are judged in any case.
         pattern: whether courses of the runs were subtracted from the readings.
         explained: (n,) which readings a course of their run or their repeats explain.
+        bent: (n,) those among them that are beside a step or a bend of the machine, which the model cannot follow.
     """
 
     def __init__(self, model: MethodModel, doubtful: Sequence[int] = ()) -> None:
@@ -166,12 +171,15 @@ class _Search:
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
         self.neighbours = Neighbours(self.readings, model.observations.direction)
+        self.way = _way(model.observations) if spec_of(model.observations.session).reads_machine else None
+        place = self.readings.alike(setup=False, approach=False, signed=False)
+        self.once = np.bincount(place)[place] == 1
         self.sigma = model.sigma
         self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
         theta, local = self.problem.zero
         self.start = theta, local[0]
-        self.pattern, self.explained = False, np.zeros(self.n, dtype=bool)
+        self.pattern, self.explained, self.bent = False, np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
 
     @classmethod
     def of(cls, session: Session, build: Callable[[Session], MethodModel]) -> Self:
@@ -259,13 +267,14 @@ class _Search:
             self.part, off = ShiftedPart(self.part, -course * np.sqrt(spare)), off - course
         size = np.abs(off)
         suspected = np.flatnonzero(size > priors.SUSPECTED * max(noise.scale, 0.5))
+        self._beside_a_bend(suspected, off, noise)
         most = int(priors.SINGLE * self.n)
         return suspected if len(suspected) <= most else np.sort(np.argsort(-size)[:most])
 
     def _fit(self, held: IntArray) -> _Fit:
-        """Least squares with readings held out."""
+        """Least squares with readings held out, those that the model cannot follow as well."""
         weight, theta, local = np.ones(self.n), *self.start
-        weight[held] = HELD_OUT
+        weight[held], weight[self.bent] = HELD_OUT, HELD_OUT
         for _ in range(1 if self.part.linear else 2):
             # At places near the nominal ones: a point that only what is held out could place may be found anywhere.
             near = np.where(np.abs(local) < FAR, local, 0.0)
@@ -323,7 +332,10 @@ class _Search:
             if len(gross) and len(other):
                 either, doubtful = mine[np.union1d(other, gross)], mine[other]
                 doubtful = doubtful[~self.explained[doubtful]]
-                alike |= {int(k): doubtful for k in either[~self.explained[either]]}
+                if len(doubtful) == 1 and self.explained[mine[gross]].all():
+                    found[doubtful] = True  # what was taken for wrong in its place is right
+                else:
+                    alike |= {int(k): doubtful for k in either[~self.explained[either]]}
         return np.flatnonzero(found & ~self.explained), alike
 
     def _together(self, held: IntArray, fit: _Fit) -> BoolArray:
@@ -336,7 +348,21 @@ class _Search:
         explained = self.neighbours.explained(held, fit.residual, fit.bulk.scale, fit.bulk.limit)
         explained |= self.neighbours.in_a_row(held, fit.residual)
         explained |= self.neighbours.repeated(held, fit.residual, fit.bulk.scale * fit.bulk.limit)
+        explained |= self._beside_a_bend(held, fit.residual, fit.bulk)
         return explained & (np.abs(fit.residual * self.sigma)[held] < _COURSE)
+
+    def _beside_a_bend(self, which: IntArray, residual: Array, bulk: Bulk) -> BoolArray:
+        """(k,) which readings are right beside a step or a bend of the machine.
+
+        They are held out from now on, unless their place was read again, and has a value of its own.
+        """
+        if self.way is None:
+            return np.zeros(len(which), dtype=bool)
+        missed, noise = residual[which] * self.sigma[which], bulk.scale * self.sigma[which]
+        bent = self.neighbours.one_side(which, self.readings.displacement, self.way, missed, noise, bulk.limit)
+        self.explained[which[bent]] = True
+        self.bent[which[bent]] = self.once[which[bent]]
+        return bent
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""
@@ -365,6 +391,14 @@ class _Search:
             told = deviation if fit.spread[k] < _UNTOLD else None
             out.append(Outlier(int(rows[k]), times, told, words, int(k) in alike, repeated))
         return out
+
+
+def _way(observations: Observations) -> Array:
+    """(n,) way of all axes up to each reading in the order of time, m or rad."""
+    places = np.stack(
+        [observations.readings.columns[name] for name in "xyzabc" if name in observations.readings.columns]
+    )
+    return np.cumsum(np.abs(np.diff(places, axis=1, prepend=places[:, :1])).sum(axis=0))
 
 
 def _size(deviation: float) -> str:

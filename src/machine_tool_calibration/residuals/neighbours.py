@@ -75,6 +75,45 @@ class Neighbours:
         count = sum(np.cumprod(side, axis=1).sum(axis=1) for side in (before, after))
         return np.asarray(count >= priors.AGREEING)
 
+    def one_side(
+        self, which: IntArray, read: Array, way: Array, missed: Array, noise: Array, limit: float
+    ) -> BoolArray:
+        """(k,) whether a level, a line or a parabola through the next readings on one side predicts a reading.
+
+        Beside a step, or where a curve is too steep for a table with straight lines, the model does not. That the
+        machine has one there and the reading is right (the prediction misses it by noise), against that it is wrong
+        (the prediction misses it by what the model does, and noise): a ratio of likelihoods. For readings of the
+        machine's own deviation.
+
+        Args:
+            which: (k,) the readings.
+            read: (n,) what was read, m.
+            way: (n,) way of the axes up to each reading, m or rad.
+            missed: (k,) what was read less what the model predicts, m.
+            noise: (k,) standard deviation of the readings, m.
+            limit: of a deviation, in standard deviations.
+        """
+        along, values = self.run.near(which, read)
+        distance = self.run.near(which, way)[1] - way[which][:, None]
+        out = np.zeros(len(which), dtype=bool)
+        for side in (along < 0, along > 0):
+            k = np.flatnonzero(np.isfinite(values[:, side]).all(axis=1))
+            near, away = values[k][:, side], distance[k][:, side]
+            away /= np.maximum(np.abs(away).max(axis=1, initial=0.0), np.finfo(float).tiny)[:, None]
+            for degree in range(3):
+                powers = away[:, :, None] ** np.arange(degree + 1)
+                inverse = np.linalg.pinv(powers)
+                coefficients = (inverse @ near[:, :, None])[:, :, 0]
+                left = near - (powers @ coefficients[:, :, None])[:, :, 0]
+                off = read[which[k]] - coefficients[:, 0]
+                variance = noise[k] ** 2 * (1.0 + (inverse[:, 0] ** 2).sum(axis=1))
+                log_ratio = missed[k] * (missed[k] - 2.0 * off) / (2.0 * variance)
+                # A level through a slope predicts nothing.
+                scatter = (left**2).sum(axis=1) / (near.shape[1] - degree - 1)
+                follows = (scatter < (priors.QUIET * noise[k]) ** 2) & (off**2 < limit**2 * variance)
+                out[k] |= follows & (log_ratio > np.log(priors.STEPS_ARE_RARE))
+        return out
+
     def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
         """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
         own, out = residual[which][:, None], np.zeros(len(which), dtype=bool)
