@@ -23,6 +23,7 @@ from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import say
 
 from .. import plates
 from ..told import keys
@@ -401,3 +402,40 @@ def test_a_place_that_is_off_each_time_is_said_to_be() -> None:
     found = diagnose(plates.session(columns, 2e-6, "none", ["EZX", "EZY"], run))
     assert len(found.gross_errors) == 4 and all(one.repeated for one in found.gross_errors)
     assert "diagnosis.outliers_repeat" in [k for words in verdict_words(found, {}, Advice()) for k in keys(words)]
+
+
+def axis_both_ways(cycles: int, seed: int, drift: float = 0.0, half_width: float = 0.0) -> Session:
+    """An axis there and back again without times: a drift, m over all, and a reversal; noise of 0.5 um."""
+    rng, there = np.random.default_rng(seed), np.linspace(0.0, 0.8, 31)
+    x = np.concatenate([np.concatenate([there, there[::-1]])] * cycles)
+    at = np.arange(len(x))
+    sense = np.where((at % 62) < 31, 1.0, -1.0)
+    read = 8e-6 * np.sin(3.0 * x) + drift * at / len(x) - half_width * sense + 5e-7 * rng.normal(size=len(x))
+    columns = {"x": x, "dir_x": sense, "gx": 0 * x + 1.0, "gy": 0 * x, "gz": 0 * x, "displacement": read}
+    return plates.session(columns, 5e-7, "none", ["EXX"], at // 62, repeats=cycles)
+
+
+@pytest.mark.parametrize("cycles", [2, 4])
+def test_a_drift_without_times_is_no_reversal(cycles: int) -> None:
+    """It goes with the order of all readings, which a reversal does not."""
+    found = diagnose(axis_both_ways(cycles, 1, drift=10e-6))
+    assert found.verdict == "unexplained" and not found.accepted
+    assert found.search.structure[0].covariate == "order"
+    found = diagnose(axis_both_ways(cycles, 1, half_width=2e-6))
+    assert found.accepted == ("backlash_x",)
+
+
+def test_there_and_back_once_without_times_a_drift_would_look_like_a_reversal() -> None:
+    for cycles, told in ((1, True), (2, False)):
+        found = diagnose(axis_both_ways(cycles, 2, half_width=2e-6))
+        assert found.accepted == ("backlash_x",)
+        said = [key for words in verdict_words(found, {}, Advice((), (), None)) for key in keys(words)]
+        assert ("diagnosis.or_a_drift" in said) == told
+
+
+def test_what_is_refused_for_having_no_size_is_not_likely() -> None:
+    found = diagnose(axis_both_ways(2, 3, half_width=2e-6))
+    name = found.accepted[0]
+    unsure = replace(found, accepted=(), refused={name: say("undetermined.not_predicted", what="")})
+    assert name in unsure.likely
+    assert name not in replace(unsure, refused={name: say("undetermined.no_size")}).likely

@@ -264,3 +264,14 @@ def test_an_unknown_instrument_is_one_line() -> None:
     with pytest.raises(SessionError, match="instrument") as caught:
         plates.session({"x": [0.0], "displacement": [0.0]}, 1e-6, instrument="ruler")
     assert "\n" not in str(caught.value) and "touch_probe" in str(caught.value)
+
+
+def test_a_reversal_that_goes_in_waves_needs_places_approached_from_both_sides() -> None:
+    """Outwards from the middle only, it is a wave of the map in each half."""
+    session = positioning()
+    x = session.readings.columns["x"]
+    outwards = {**session.readings.columns, "dir_x": np.where(x >= np.median(x), 1.0, -1.0)}
+    assert "reversal_periodic_x" in possible(session)
+    assert "reversal_periodic_x" not in possible(
+        session.with_readings(replace(session.readings, columns={**outwards, "x": x + 1e-3 * outwards["dir_x"]}))
+    )

@@ -20,7 +20,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap, effect_signal
 from machine_tool_calibration.residuals.pool import Pool
-from machine_tool_calibration.words import say, together
+from machine_tool_calibration.words import Said, say, together
 
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
@@ -83,7 +83,7 @@ def add_probable(
     unsized = [name for name in unsure if not _sized(fitted[-1].joint, name, memory=True)]
     if unsized:
         one = _least_needed(unsized, accepted, fit_with)
-        spurious = {**spurious, one: say("undetermined.no_size_beside")}
+        spurious = {**spurious, one: _no_size(accepted)}
         return add_probable(names, search, predicted, first, fit_with, spurious, deferred)
     return Added(tuple(accepted), tuple(fitted), refused, impossible)
 
@@ -123,7 +123,7 @@ def _spurious(
     sure = {last} if search.of(last).p_value <= priors.NO_CHANCE and last not in decaying else set[str]()
     unsized = [name for name in names if name not in sure and not _sized(after, name)]
     if unsized:
-        return {_least_needed(unsized, names, fit_with): say("undetermined.no_size_beside")}
+        return {_least_needed(unsized, names, fit_with): _no_size(names)}
     if not decaying:
         return {}
     # What each changes that the model does not absorb, and the residual.
@@ -141,6 +141,16 @@ def _spurious(
     if best is None or instead[best] >= after.solution.chi_square:
         return {}
     return {best[0]: say("undetermined.less_than_simpler", names=together(cases[best[0]], say("text.and")))}
+
+
+def _no_size(names: Sequence[str]) -> Said:
+    """Why an effect is not added whose size may be zero, beside the others among these."""
+    return say("undetermined.no_size_beside" if len(names) > 1 else "undetermined.no_size")
+
+
+def without_size(why: str) -> bool:
+    """Whether an effect was refused as one that changes nothing: it is not what is missing."""
+    return isinstance(why, Said) and why.key in ("undetermined.no_size", "undetermined.explains_nothing")
 
 
 def _chi_square(fit_with: Callable[[tuple[str, ...]], FittedSessions], names: Iterable[str]) -> float:

@@ -11,7 +11,13 @@ from scipy import special
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.coverage import K
-from machine_tool_calibration.diagnosis.adding import Added, add_probable, better_special_cases, explain_nearly_all
+from machine_tool_calibration.diagnosis.adding import (
+    Added,
+    add_probable,
+    better_special_cases,
+    explain_nearly_all,
+    without_size,
+)
 from machine_tool_calibration.diagnosis.search.candidates import (
     Candidate,
     between_the_grid,
@@ -90,7 +96,8 @@ class Diagnosis:
     @property
     def likely(self) -> tuple[str, ...]:
         """Effects that are not named as missing and yet are what one would look at next."""
-        return tuple(f.name for f in self.ranked if f.probability >= priors.LIKELY and f.name not in self.accepted)
+        gone = {*self.accepted, *(name for name, why in self.refused.items() if without_size(why))}
+        return tuple(f.name for f in self.ranked if f.probability >= priors.LIKELY and f.name not in gone)
 
     @cached_property
     def with_found(self) -> FittedSessions:

@@ -12,6 +12,10 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import Said
 
+# Readings of each direction where an axis moved the other way, too, from which it reversed.
+_BOTH_WAYS = 3
+ONE_SIDED = "no place was approached from both sides"
+
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -153,6 +157,20 @@ class AxisEffect(Effect):
 def stands_still(observations: Observations, axis: str) -> bool:
     """Whether all readings are at one position of an axis."""
     return bool(np.ptp(observations.readings.column(axis)) < SAME_POSITION)
+
+
+def is_one_sided(observations: Observations, axis: str) -> bool:
+    """Whether hardly a position of an axis that moved both ways lies where it moved the other way, too.
+
+    Then what one direction changes is what one part of the travel has of its own, and no reversal.
+    """
+    position, sense = observations.readings.column(axis), observations.readings.column(f"dir_{axis}")
+    up, down = position[sense > 0], position[sense < 0]
+    if not len(up) or not len(down):
+        return False
+    low, high = max(up.min(), down.min()) - SAME_POSITION, min(up.max(), down.max()) + SAME_POSITION
+    shared = min(int(np.sum((own >= low) & (own <= high))) for own in (up, down))
+    return shared < min(_BOTH_WAYS, len(up), len(down))
 
 
 def axis_unit(axis: str) -> Array:

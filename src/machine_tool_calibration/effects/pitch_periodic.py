@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups, peaks
-from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape, axis_unit
+from machine_tool_calibration.effects.effect import ONE_SIDED, AxisEffect, Coefficient, Shape, axis_unit, is_one_sided
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
@@ -126,6 +126,10 @@ class ReversalPeriodic(PitchPeriodic):
     needs = ("{axis}", "dir_{axis}")
     seldom = True
     fewest = 5.0
+
+    def why_not(self, observations: Observations) -> str | None:
+        """Beside a wave of the map in each part of the travel."""
+        return super().why_not(observations) or (ONE_SIDED if is_one_sided(observations, self.axis) else None)
 
     def sign(self, observations: Observations) -> Array:
         """The direction of approach."""

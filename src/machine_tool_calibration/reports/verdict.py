@@ -61,6 +61,8 @@ def verdict_words(
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
+    if diagnosis.accepted and only_reversal(diagnosis) and _once_without_times(diagnosis):
+        yield say("diagnosis.or_a_drift")
     for words in diagnosis.suspicious:
         yield say("diagnosis.suspicious", what=words)
     if not brief:
@@ -153,6 +155,12 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
     """Whether nothing is missing but the reversal of axes that were run both ways by ISO 230-2, which reports it."""
     axes = {str(run["axis"]).lower() for run in diagnosis.fitted[0].error_map.content.get("iso230_2", ())}
     return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in ("backlash", "lost_motion") for axis in axes}
+
+
+def _once_without_times(diagnosis: Diagnosis) -> bool:
+    """Whether the order of the readings does not tell a drift from a reversal: there and back once."""
+    observed = [model.observations for model in diagnosis.fits[0].assembly.models]
+    return any(not one.timed and one.readings.repeat.max() == one.readings.repeat.min() for one in observed)
 
 
 def next_step(diagnosis: Diagnosis, advice: Advice) -> str:

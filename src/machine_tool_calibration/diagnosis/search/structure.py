@@ -373,6 +373,8 @@ def _covariates(observations: Observations) -> dict[str, Array]:
         # What drives gradients in the frame; temperatures of the structure follow.
         out[f"rate of {_AIR}"] = _rate(observations.clock, out[_AIR])
     run = observations.readings.repeat_of_setup
+    if not observations.timed and run.max(initial=0) > 0 and "order" in known:
+        out["order"] = known["order"]
     if run.max(initial=0) > 0:  # what settles after each start
         out["order within the run"] = occurrence(run).astype(float)
     if "path" in out:
