@@ -322,6 +322,28 @@ def test_a_calculation_whose_outcome_cannot_be_published_has_ended_all_the_same(
     assert node.goals.last == "unexpected ZeroDivisionError: division by zero"
 
 
+def test_what_was_calculated_of_an_earlier_session_is_not_told_of_the_next(made):
+    node = made(Estimator)
+
+    def calculated(words):
+        goal = node.goals._present = _Goal("identify", uuid.uuid4(), 0, "identifying", 0.0)
+        yield
+        node.goals._end(goal, object(), lambda outcome: (words, {}))
+        yield shown(node).message
+
+    hear(node, "reading", reading(0, time=0))
+    assert list(calculated("identified of the first"))[-1] == "identified of the first"
+    during = calculated("diagnosed of the first")
+    next(during)
+    hear(node, "reading", reading(1000, time=0))
+    assert next(during) == "no identification yet" and values_of(shown(node))["readings"] == "1"
+    assert list(calculated("identified of the second"))[-1] == "identified of the second"
+    assert shown(node).level == b"\0"
+    node.goals.level = Level.ERROR
+    node._reset()
+    assert (shown(node).message, shown(node).level) == ("no identification yet", b"\0")
+
+
 def test_a_stray_reading_does_not_cost_those_that_are_there(made):
     node = made(Estimator)
     for index in range(4):

@@ -98,6 +98,7 @@ class Estimator(ManagedNode):
         reading = Reading(list(message.name), list(message.position))
         if forgotten := self._received.add(from_message(message.header.stamp), reading, self._description):
             self._found = ()
+            self.goals.forget()
             if not self._is_described_anew:
                 self._description = None  # it may be that of the session before
             self.get_logger().warning(f"another session has begun; {forgotten} readings forgotten")
@@ -115,6 +116,7 @@ class Estimator(ManagedNode):
         words = f"{len(self._received)} readings forgotten"
         self._received.forget()
         self._unheard, self._found = False, ()
+        self.goals.forget()
         self._resets += 1
         self._show()
         return words

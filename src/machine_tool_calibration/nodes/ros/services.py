@@ -143,6 +143,7 @@ class _Goal:
     doing: str
     began: float
     status: int = GoalStatus.STATUS_EXECUTING
+    is_outdated: bool = False  # what it is about is gone
 
     def is_meant(self, wanted: GoalInfo) -> bool:
         """As CancelGoal defines it: by the id; without an id all until a time; without either all."""
@@ -207,6 +208,12 @@ class Goals:
 
         offer(self._node, f"~/{verb}", called)
 
+    def forget(self) -> None:
+        """What was calculated, or is being, is about what is gone: no sentence is left of it but its outcome."""
+        self.last, self.level = "", messages.Level.OK
+        if self._present is not None:
+            self._present.is_outdated = True
+
     def close(self) -> None:
         """The node leaves the graph: no outcome is wanted."""
         with self._lock:
@@ -237,18 +244,19 @@ class Goals:
         found: Mapping[str, object] = {}
         if not isinstance(outcome, CalibrationError):
             try:
-                self.last, found = done(outcome)
+                text, found = done(outcome)
             except Exception as error:  # a client waits for the outcome
                 self._node.note_fault(goal.verb, error)
                 outcome = CalibrationError(f"unexpected {type(error).__name__}: {error}")
         if isinstance(outcome, _CancelledError):
-            goal.status, self.level = GoalStatus.STATUS_CANCELED, messages.Level.WARN
-            self.last = f"cancelled: {goal.doing}"
+            goal.status, level, text = GoalStatus.STATUS_CANCELED, messages.Level.WARN, f"cancelled: {goal.doing}"
         elif isinstance(outcome, CalibrationError):
-            goal.status, self.level, self.last = GoalStatus.STATUS_ABORTED, messages.Level.ERROR, str(outcome)
+            goal.status, level, text = GoalStatus.STATUS_ABORTED, messages.Level.ERROR, str(outcome)
         else:
-            goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, messages.Level.OK
-        self._outcomes.tell(goal.verb, goal.number.hex, messages.stamp_now(self._node), self.last, found, self.level)
+            goal.status, level = GoalStatus.STATUS_SUCCEEDED, messages.Level.OK
+        if not goal.is_outdated:
+            self.last, self.level = text, level
+        self._outcomes.tell(goal.verb, goal.number.hex, messages.stamp_now(self._node), text, found, level)
         self._show()
 
     def _cancel(self, request: CancelGoal.Request, response: CancelGoal.Response) -> CancelGoal.Response:
