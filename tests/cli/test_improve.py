@@ -182,8 +182,9 @@ def test_those_set_aside_are_shown_and_put_back(hidden, verb):
     found = verb("identify", hidden, "--json").document
     assert sorted(entry["row"] for entry in found["rejected"]) == [20, 90, 150]
     assert np.allclose([entry["deviation"] for entry in found["rejected"]], 80e-6, atol=10e-6)
-    back = verb("identify", hidden, "--keep", "90", "--json").document
-    assert sorted(entry["row"] for entry in back["rejected"]) == [20, 150]
+    told = verb("identify", hidden, "--keep", "90", "--keep", "7", "--json")
+    assert sorted(entry["row"] for entry in told.document["rejected"]) == [20, 150]
+    assert told.err.strip() == "note: --keep 7: this model does not set the reading aside anyway"
     shown = verb("identify", hidden).out
     assert "Readings set aside" in shown
     line = next(line for line in shown.splitlines() if line.split()[:1] == ["90"])
@@ -203,6 +204,9 @@ def test_the_history_keeps_what_was_put_back_and_is_used(hidden, verb, tmp_path)
     assert (entry.kept, entry.set_aside) == ((90,), (20, 150))
     used = verb("identify", hidden, "--from-history", "--json").document
     assert [one["row"] for one in used["rejected"]] == [20, 150]
+    told = verb("compare", hidden, "--from-history", "--keep", "150", "--keep", "3", "--json")
+    assert told.err.strip() == "note: --keep 3: this model does not set the reading aside anyway"
+    assert told.document["readings"] == entry.used + 1
     verb(*improve)
     entry = read_history(hidden / "history.yaml").in_use
     assert (entry.kept, entry.set_aside, entry.effects) == ((), (20, 90, 150), ("backlash_y",))

@@ -46,10 +46,13 @@ class Wanted:
         from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)
-        sessions = tuple(keeping([open_measurement(path, topics) for path in paths], labels, self.keep))
+        recorded = tuple(open_measurement(path, topics) for path in paths)
+        sessions = tuple(keeping(recorded, labels, self.keep))
         refuse_repeated(sessions, labels)
         if not self.from_history:
-            return Measured(sessions, FitRequest(sessions, tuple(labels), self.model, self.effects, tuple(own)))
+            asked = FitRequest(sessions, tuple(labels), self.model, self.effects, tuple(own))
+            self._note_idle(replace(asked, sessions=recorded), sessions, labels)
+            return Measured(sessions, asked)
         if self.effects or self.model:
             raise click.UsageError("--from-history is without --effect and --model.")
         from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
@@ -59,8 +62,23 @@ class Wanted:
             raise no_model(paths)
         if entry.data != fingerprint(*sessions):
             note(f"the readings have changed since model {entry.number} was made of them")
-        chosen = entry.request(sessions, labels, [fingerprint(session) for session in sessions], own)
+        prints = [fingerprint(session) for session in sessions]
+        self._note_idle(entry.request(recorded, labels, prints, own), sessions, labels)
+        chosen = entry.request(sessions, labels, prints, own)
         return Measured(sessions, chosen, history.way_to(entry.number))
+
+    def _note_idle(self, without: FitRequest, kept: Sequence[Session], labels: Sequence[str]) -> None:
+        """Say of which readings `--keep` changes nothing: `without` it the model sets them aside no more than with it."""
+        from machine_tool_calibration.methods.fitted import gross_errors
+
+        if not self.keep:
+            return
+        looked = [] if without.keep_all else gross_errors(without)  # a model of the history has set aside its own
+        aside = [{one.row for one in own.outliers} for own in looked] or [set[int]() for _ in kept]
+        for label, session, before, gone in zip(labels, kept, without.sessions, aside, strict=True):
+            for row in sorted(session.sound.intersection(before.readings.row.tolist()) - gone):
+                named = f"{label}:{row}" if len(labels) > 1 else row
+                note(f"note: --keep {named}: this model does not set the reading aside anyway")
 
     def have_history(self, paths: Sequence[Path]) -> list[bool]:
         """Of which measurements the history is asked for, and has a model; a CalibrationError if none that is asked."""
