@@ -21,6 +21,8 @@ from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import LABEL_COLUMNS, NUMERIC_COLUMNS
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation.machine_file import machine_document, read_machine
 
 ROOT = Path(__file__).parents[2]
 SESSIONS = (ROOT / "docs" / "sessions.md").read_text(encoding="utf-8")
@@ -76,6 +78,13 @@ def test_the_readme_shows_what_diagnose_says(
     assert run(["diagnose", "session"]) == 0
     (shown,) = re.findall(r"```text\n(The model lacks.*?)```", README, re.DOTALL)
     assert capsys.readouterr().out.split() == shown.split()
+
+
+def test_all_presets_measure_the_machine_of_the_readme() -> None:
+    (file,) = re.findall(r"--machine (config/machines/\S+\.yaml)", README)
+    specs = [SimulationSpec(plan=plan, machine=read_machine(ROOT / file)) for plan in PRESETS.values()]
+    first, *others = [machine_document(simulate(spec).truth.machine) for spec in specs]
+    assert len(others) > 10 and all(other == first for other in others)
 
 
 def test_every_command_of_the_readme_exists_and_the_other_way_round() -> None:
