@@ -138,8 +138,11 @@ GUIDES = sorted((ROOT / "docs" / "guides").glob("*.md"))
 @pytest.mark.long(but=("index",))
 @pytest.mark.usefixtures("rough_pictures", "found_once")
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda guide: guide.stem)
-def test_a_guide_runs_from_top_to_bottom(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_guide_runs_from_top_to_bottom(
+    guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "500")  # sentences in one line
     text = guide.read_text(encoding="utf-8")
     for name, content in re.findall(r"^```\w+ (\S+\.\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         Path(name).write_text(content, encoding="utf-8")
@@ -153,6 +156,9 @@ def test_a_guide_runs_from_top_to_bottom(guide: Path, tmp_path: Path, monkeypatc
     for verb, *arguments in commands:
         assert verb == "mtcal"
         assert run(arguments) == 0, shlex.join(arguments)
+    said = capsys.readouterr().out
+    for sentence in re.findall(r"^> (.*)$", text, re.MULTILINE):
+        assert sentence in said
 
 
 @pytest.fixture
