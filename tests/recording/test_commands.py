@@ -2,6 +2,7 @@
 """mtcal info, recover and convert, as people and programs meet them."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -72,9 +73,19 @@ def test_info_of_what_cannot_be_identified(verb: Verb, tmp_path: Path) -> None:
     told = verb("info", tmp_path, status=1)
     assert "72 readings" in told.out
     assert told.err == (
-        f"mtcal: {tmp_path}: 1 station; tracking_interferometer in 2 dimensions needs at least 2 "
+        f"mtcal: {tmp_path}/observations.csv: 1 station; tracking_interferometer in 2 dimensions needs at least 2 "
         "(no reading from B, C, D)\n"
     )
+
+
+def test_info_names_the_line_as_other_verbs_do(verb: Verb, tmp_path: Path) -> None:
+    folder = shutil.copytree(DATA / "tracking_2d", tmp_path / "session")
+    with (folder / "observations.csv").open("r+", encoding="utf-8") as file:
+        lines = file.readlines()
+        file.write(lines[-1])
+    told = verb("info", folder, status=1)
+    assert "289 readings" in told.out and "(line 290): the same reading as" in told.err
+    assert told.err == verb.refused("identify", folder)
 
 
 def test_wrong_requests(verb: Verb, session_bag: Path, tmp_path: Path) -> None:

@@ -77,6 +77,26 @@ def doubled(session: Session) -> Session:
     return session.with_readings(replace(session.readings, columns=columns).select(lines))
 
 
+@pytest.mark.parametrize(("decimals", "told"), [(None, True), (10, True), (7, False)])
+def test_one_row_that_was_written_twice_is_told_where_chance_does_not_make_it(
+    sound: Session, decimals: int | None, told: bool
+) -> None:
+    columns = {name: values for name, values in sound.readings.columns.items() if name != "time"}
+    untimed = sound.with_readings(replace(sound.readings, columns=columns))
+    rows = np.sort(np.append(np.arange(len(sound.readings)), 7))
+    twice = with_readings(
+        untimed.with_readings(untimed.readings.select(rows)), lambda d: d if decimals is None else np.round(d, decimals)
+    )
+    assert suspicions([twice]) == (
+        ["row 7 has the reading of a row before with the same setup, repeat, place and direction: was it written twice?"]
+        if told
+        else []
+    )
+    other = twice.readings.displacement.copy()
+    other[8] += 1e-8  # the place was read again
+    assert suspicions([with_readings(twice, lambda d: other)]) == []
+
+
 def test_lost_readings_are_no_copies(sound: Session) -> None:
     again = doubled(sound)
     read = again.readings.displacement.copy()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.shared import PATH, json_option, tell_either
-from machine_tool_calibration.errors import CalibrationError, RecordingError
+from machine_tool_calibration.errors import CalibrationError, RecordingError, SessionError
 from machine_tool_calibration.reports.tables import Part
 
 if TYPE_CHECKING:
@@ -62,8 +63,11 @@ def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:
         bag, absent = _recording(measurement, topics)
     parts: Iterable[Part] = () if bag is None else recording_parts(bag, absent)
     if not absent:
-        session = open_measurement(measurement, topics, check=False)
-        summary = summarize(session)
+        try:
+            session, problem = open_measurement(measurement, topics), None
+        except SessionError as error:  # shown all the same, where it can be read
+            session, problem = open_measurement(measurement, topics, check=False), str(error)
+        summary = replace(summarize(session), problem=problem)
         parts = chain(parts, session_parts(session, summary))
     tell_either(measurement_document(measurement, bag, session, summary, absent), parts, as_json)
     if summary is not None and summary.problem:

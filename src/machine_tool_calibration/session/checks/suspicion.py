@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import groups, occurrence
+from machine_tool_calibration.arrays import Array, groups, occurrence
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
@@ -17,6 +17,7 @@ _HARDLY_DIFFER = 0.1  # share of a reading's standard uncertainty that readings 
 _BEYOND_TRAVEL = 0.1  # share of the travel by which a probed part may reach beyond it
 _COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by itself
 _WHOLE = 1e-6  # of a step: rounding
+_BY_CHANCE = 0.01  # probability of equal readings below which they are one reading
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
 
 
@@ -61,11 +62,24 @@ def _rounded(session: Session) -> Iterator[str]:
 
 
 def _copied(session: Session) -> Iterator[str]:
-    """Rows of one setup, repeat, place and direction of which each has the same reading as the one before it."""
+    """Rows of one setup, repeat, place and direction with the same reading: each of several, or more than by chance."""
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     again, equal = (occurrence(group) > 0 for group in (readings.state, groups(readings.state, readings.displacement)))
-    if equal.sum() >= _FEWEST_COPIES and (equal == again).all() and np.ptp(readings.displacement):
+    every = equal.sum() >= _FEWEST_COPIES and (equal == again).all() and np.ptp(readings.displacement)
+    equal &= readings.displacement != 0.0
+    if every or (equal.any() and _hardly_by_chance(readings.displacement[~equal], int(again.sum()), session.sigma)):
         yield say("suspicion.copied", n=int(equal.sum()), row=int(readings.row[equal][0]))
+
+
+def _hardly_by_chance(others: Array, count: int, sigma: float) -> bool:
+    """Whether none of so many second readings of a place equals the first: they have far more digits than noise.
+
+    Two readings are equal with a probability of their step over 3.5 sigma. A step that is not decimal shows in other
+    readings that are equal.
+    """
+    fine = (10.0**-k for k in range(3, 13) if (np.abs(others * 10.0**k - np.round(others * 10.0**k)) < _WHOLE).all())
+    told = others[others != 0.0]
+    return count * next(fine, 0.0) < _BY_CHANCE * _COARSE * sigma and len(np.unique(told)) == len(told)
 
 
 def _beside(session: Session) -> Iterator[str]:
