@@ -37,7 +37,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
     All that differ by their last letter, as by the axis, where the name ends with none of these.
     """
-    near = difflib.get_close_matches(name, list(known), n=6)
+    near = difflib.get_close_matches(name, list(known), n=6) if isinstance(name, str) else []
     alike = [one for one in near if one[:-1] == near[0][:-1]] if near else []
     alike = [one for one in alike if one[-1:] == name[-1:]] or alike
     return f" (did you mean {' or '.join(map(repr, sorted(alike)))}?)" if near else ""

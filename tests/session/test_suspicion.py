@@ -87,11 +87,8 @@ def test_one_row_that_was_written_twice_is_told_where_chance_does_not_make_it(
     twice = with_readings(
         untimed.with_readings(untimed.readings.select(rows)), lambda d: d if decimals is None else np.round(d, decimals)
     )
-    assert suspicions([twice]) == (
-        ["row 7 has the reading of a row before with the same setup, repeat, place and direction: was it written twice?"]
-        if told
-        else []
-    )
+    words = "row 7 has the reading of a row before with the same setup, repeat, place and direction: was it written "
+    assert suspicions([twice]) == [f"{words}twice?"] * told
     other = twice.readings.displacement.copy()
     other[8] += 1e-8  # the place was read again
     assert suspicions([with_readings(twice, lambda d: other)]) == []

@@ -68,7 +68,7 @@ class Wanted:
         return Measured(sessions, chosen, history.way_to(entry.number))
 
     def _note_idle(self, without: FitRequest, kept: Sequence[Session], labels: Sequence[str]) -> None:
-        """Say of which readings `--keep` changes nothing: `without` it the model sets them aside no more than with it."""
+        """Say which readings that `--keep` names the model does not set aside `without` it either."""
         from machine_tool_calibration.methods.fitted import gross_errors
 
         if not self.keep:

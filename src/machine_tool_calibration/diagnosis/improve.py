@@ -15,6 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Coefficient, Entry, Part
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result, fit_quality, map_change, map_rms
@@ -127,8 +128,11 @@ class Improvement:
         return tuple(name for found in self._looks for name in found.accepted)
 
     def probability(self, effect: str) -> float:
-        """That of an effect when it was added."""
-        return next(found.search.of(effect).probability for found in self._looks if effect in found.accepted)
+        """That of an effect when it was added; a ModelError if it was not."""
+        for found in self._looks:
+            if effect in found.accepted:
+                return found.search.of(effect).probability
+        raise ModelError(f"no effect {effect!r} was added; there are {', '.join(self.accepted) or 'none'}")
 
     @property
     def _looks(self) -> tuple[Diagnosis, ...]:

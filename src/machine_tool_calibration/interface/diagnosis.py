@@ -15,7 +15,7 @@ from machine_tool_calibration.diagnosis.compare import Comparison as OneComparis
 from machine_tool_calibration.diagnosis.compare import JointComparison, one_below_the_other
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.interface.show import Answer, chosen, notebook, printed
+from machine_tool_calibration.interface.show import Answer, chosen, listed, notebook, printed
 from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.compare import draw_setups, figures
 from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
@@ -117,6 +117,7 @@ class Comparison(Answer):
             if session is not None and session not in labels:
                 raise CalibrationError(f"no session {session!r}; there are {', '.join(labels)}")
             one = one.sessions[0 if session is None else labels.index(session)]
+        against = listed("against", against)
         for name in against:
             one.covariate(name)
         return chosen(figures(one, against), picture)

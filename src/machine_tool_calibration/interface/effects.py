@@ -10,6 +10,7 @@ import pandas as pd
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.effects.formula import FormulaEffect, checked_definition, read_effects
+from machine_tool_calibration.interface.show import own_effects_of
 
 Range = tuple[str, float, float] | Mapping[str, Any]
 """Of an unknown: unit, smallest and largest plausible value; or a mapping with `unit`, `low`, `high`, `meaning`."""
@@ -118,6 +119,6 @@ def catalogue(own: Sequence[PhysicalEffect] = ()) -> pd.DataFrame:
             "instruments": tuple(effect.instruments),
             "source": effect.source,
         }
-        for effect in every_effect(own).values()
+        for effect in every_effect(own_effects_of(own)).values()
     ]
     return pd.DataFrame(rows).set_index("id")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,7 +30,7 @@ from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
 from machine_tool_calibration.interface.features import Features
 from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.interface.session import Measurement, Source, load
-from machine_tool_calibration.interface.show import Answer, chosen, require_kind, require_whole
+from machine_tool_calibration.interface.show import Answer, chosen, listed, own_effects_of, require_kind, require_whole
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
@@ -209,9 +210,10 @@ class Fit(Answer):
         """
         return chosen(self._figures(), picture)
 
-    def save_pictures(self, folder: Path) -> list[Path]:
+    def save_pictures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write all of them as PNG files into a folder, each with what it was made from at its foot."""
-        return save(self._figures(), folder, self.result.provenance)
+        require_kind(folder, str | os.PathLike, "folder must be a path")
+        return save(self._figures(), Path(folder), self.result.provenance)
 
     def features(
         self,
@@ -275,6 +277,8 @@ class Fit(Answer):
         """
         require_whole(seed=seed)
         require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
+        if len(listed("labels", labels, str, " of two names")) != 2:
+            raise ModelError(f"labels must be two names, not {labels!r}")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
         found = compare_fits(*pair, labels, seed=seed, progress=progress)
         return MapComparison.of(found, origins=tuple(one.provenance for one in pair))
@@ -324,6 +328,8 @@ class Fit(Answer):
         """
         require_whole(draws=draws, seed=seed)
         own = fitted_sessions(self.result)
+        if not isinstance(contributors, str | Path | None):
+            contributors = listed("contributors", contributors)
         if not (lines := contributors_of(contributors, self.measurement.sessions)):
             raise ModelError("contributors has 0 entries, not at least 1")
         names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
@@ -359,7 +365,8 @@ class Fit(Answer):
         require_kind(tolerances, Mapping, "tolerances must be a mapping from figures to their tolerances")
         if budget is not None:
             require_kind(budget, Budget, "budget must be one, as Fit.budget gives it")
-        sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
+        require_kind(level, int | float, "level must be a number")
+        sizes = {str(name): tolerance(str(name), size) for name, size in tolerances.items()}
         own = fitted_sessions(self.result)
         if budget is None and (lines := known_contributors(self.measurement.sessions)[0]):
             budget = self.budget(lines, seed=seed, progress=progress)
@@ -411,6 +418,8 @@ def split_effects(
     effects: str | PhysicalEffect | Sequence[str | PhysicalEffect], own: Sequence[PhysicalEffect]
 ) -> tuple[tuple[str, ...], tuple[PhysicalEffect, ...]]:
     """Ids of effects, and the user's own: those known already (`own`) and those that are among the effects."""
-    given = (effects,) if isinstance(effects, str | PhysicalEffect) else tuple(effects)
-    known = {effect.id: effect for effect in (*own, *(e for e in given if isinstance(e, PhysicalEffect)))}
+    given = (effects,) if isinstance(effects, PhysicalEffect) else listed("effects", effects)
+    known = {
+        effect.id: effect for effect in (*own_effects_of(own), *(e for e in given if isinstance(e, PhysicalEffect)))
+    }
     return tuple(e.id if isinstance(e, PhysicalEffect) else str(e) for e in given), tuple(known.values())

@@ -12,7 +12,7 @@ import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import one_below_the_other
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.interface.show import Shown
+from machine_tool_calibration.interface.show import Shown, require_kind
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.identification import session_headline
 from machine_tool_calibration.reports.information import session_parts
@@ -73,6 +73,7 @@ class Measurement(Shown):
         Raises:
             SessionError: a session is already there, or the folder cannot be written.
         """
+        require_kind(folder, str | os.PathLike, "folder must be a path")
         for label, session in zip(self.labels, self.sessions, strict=True):
             own = Path(folder) if len(self.sessions) == 1 else Path(folder) / label
             write_session(session, own, overwrite=overwrite)
@@ -160,6 +161,7 @@ def simulate(
     from machine_tool_calibration.simulation import simulate as simulated_by
     from machine_tool_calibration.simulation.spec import PLANS, spec_from
 
+    require_kind(plan, str, "plan must be a name")
     if plan not in PRESETS and plan not in PLANS:
         known = ", ".join(dict.fromkeys([*PLANS, *PRESETS]))
         raise CalibrationError(f"no plan {plan!r}; there are {known}")

@@ -12,6 +12,7 @@ from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any, Self
 
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.reports.tables import Part, show
@@ -86,7 +87,7 @@ def chosen(figures: Mapping[str, Figure], name: str | None) -> Figure:
     """One of several pictures, the first one without a name; a CalibrationError if there is none of that name."""
     if name is None and figures:
         name = next(iter(figures))
-    if name is None or name not in figures:
+    if name is None or name not in list(figures):
         known = f"there are {', '.join(figures)}" if figures else "there is nothing to draw"
         raise CalibrationError(f"no picture {name!r}; {known}" if name else known)
     return notebook(figures[name])
@@ -123,10 +124,24 @@ def require_whole(**numbers: Any) -> None:
             raise _refused(f"{name} must be a whole number from {low} to {high}", value)
 
 
-def require_kind(value: Any, kind: type, words: str) -> None:
+def require_kind(value: Any, kind: Any, words: str) -> None:
     """Refuse (CalibrationError) an argument of another kind; `words` say which it has to be, its name before it."""
     if not isinstance(value, kind):
         raise _refused(words, value)
+
+
+def listed(name: str, value: Any, kind: Any = object, words: str = "") -> tuple[Any, ...]:
+    """An argument that is a list of one kind, which `words` name, or one text of it; a CalibrationError: it is none."""
+    require_kind(value, Iterable, f"{name} must be a list{words}")
+    entries = (value,) if isinstance(value, str) else tuple(value)
+    for entry in entries:
+        require_kind(entry, kind, f"{name} must be a list{words}")
+    return entries
+
+
+def own_effects_of(own: Any) -> tuple[PhysicalEffect, ...]:
+    """The user's own effects that an argument `own` lists; a CalibrationError: it does not."""
+    return listed("own", own, PhysicalEffect, " of effects, as mtcal.Effect makes them")
 
 
 def _refused(words: str, value: Any) -> CalibrationError:
