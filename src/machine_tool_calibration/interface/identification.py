@@ -278,7 +278,7 @@ class Fit(Answer):
         require_whole(seed=seed)
         require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
         if len(listed("labels", labels, str, " of two names")) != 2:
-            raise ModelError(f"labels must be two names, not {labels!r}")
+            raise ModelError(f"labels must be two names, not {len(tuple(labels))}")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
         found = compare_fits(*pair, labels, seed=seed, progress=progress)
         return MapComparison.of(found, origins=tuple(one.provenance for one in pair))
