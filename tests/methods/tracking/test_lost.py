@@ -122,6 +122,20 @@ def test_all_targets_in_one_plane_of_space(pointing, station_error, simulated, t
     assert 0.5 < np.mean(squares) < 1.6
 
 
+def test_a_survey_counts_for_what_is_not_sensed_and_no_better_than_a_third_of_a_millimetre(simulated):
+    made = simulated(3, "open_loop", 0, z=(0.0,), station_uncertainty=1.2e-5)
+
+    def found(declared):
+        own = made.session.description
+        setups = tuple(one.model_copy(update={"position_uncertainty": declared}) for one in own.setups)
+        session = replace(made.session, description=own.model_copy(update={"setups": setups}))
+        return identify(session).error_map.content["position_error_u"]
+
+    usual = found(3e-4)
+    assert all(np.array_equal(found(declared), usual) for declared in (1e-6, None))
+    assert (found(5e-3)[:, 2] > usual[:, 2]).all()
+
+
 @pytest.mark.long
 def test_stations_nearly_on_a_line(simulated, truth, many):
     """Weak across the line, and said so."""
