@@ -129,10 +129,9 @@ class Improvement:
 
     def probability(self, effect: str) -> float:
         """That of an effect when it was added; a ModelError if it was not."""
-        for found in self._looks:
-            if effect in found.accepted:
-                return found.search.of(effect).probability
-        raise ModelError(f"no effect {effect!r} was added; there are {', '.join(self.accepted) or 'none'}")
+        if effect not in self.accepted:
+            raise ModelError(f"no effect {effect!r} was added; there are {', '.join(self.accepted) or 'none'}")
+        return next(found.search.of(effect).probability for found in self._looks if effect in found.accepted)
 
     @property
     def _looks(self) -> tuple[Diagnosis, ...]:

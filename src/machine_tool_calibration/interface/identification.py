@@ -419,7 +419,5 @@ def split_effects(
 ) -> tuple[tuple[str, ...], tuple[PhysicalEffect, ...]]:
     """Ids of effects, and the user's own: those known already (`own`) and those that are among the effects."""
     given = (effects,) if isinstance(effects, PhysicalEffect) else listed("effects", effects)
-    known = {
-        effect.id: effect for effect in (*own_effects_of(own), *(e for e in given if isinstance(e, PhysicalEffect)))
-    }
+    known = {one.id: one for one in (*own_effects_of(own), *given) if isinstance(one, PhysicalEffect)}
     return tuple(e.id if isinstance(e, PhysicalEffect) else str(e) for e in given), tuple(known.values())

@@ -72,11 +72,7 @@ def _copied(session: Session) -> Iterator[str]:
 
 
 def _hardly_by_chance(others: Array, count: int, sigma: float) -> bool:
-    """Whether none of so many second readings of a place equals the first: they have far more digits than noise.
-
-    Two readings are equal with a probability of their step over 3.5 sigma. A step that is not decimal shows in other
-    readings that are equal.
-    """
+    """Whether none of so many second readings equals the first: their steps, which others show, are far below noise."""
     fine = (10.0**-k for k in range(3, 13) if (np.abs(others * 10.0**k - np.round(others * 10.0**k)) < _WHOLE).all())
     told = others[others != 0.0]
     return count * next(fine, 0.0) < _BY_CHANCE * _COARSE * sigma and len(np.unique(told)) == len(told)
