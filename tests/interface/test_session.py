@@ -175,8 +175,8 @@ WRONG: list[tuple[Callable[[Any], object], str]] = [
     (lambda run: run.compare().plot(against=2), "against must be a list, not 2"),
     (lambda run: run.save_pictures(None), "folder must be a path, not nothing"),
     (lambda run: run.measurement.save(3), "folder must be a path, not 3"),
-    (lambda run: mtcal.identify(run.measurement, model=3), "direct has no model 3; known are"),
-    (lambda run: mtcal.identify(run.measurement, model={1: 2}), "direct has no model {1: 2}; known are"),
+    (lambda run: mtcal.identify(run.measurement, model=3), "a model must be a name, not 3"),
+    (lambda run: mtcal.identify(run.measurement, model={1: 2}), "a model must be a name, not {1: 2}"),
     (
         lambda run: mtcal.identify(run.measurement, own=["creep"]),
         "own must be a list of effects, as mtcal.Effect makes",

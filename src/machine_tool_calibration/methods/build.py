@@ -37,7 +37,7 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     """
     models = spec_of(session).models
     name = model or next(iter(models))
-    if name not in list(models):  # of any type
+    if name not in models:
         hint = did_you_mean(name, models)
         raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
     if not np.isfinite(session.readings.displacement).any():

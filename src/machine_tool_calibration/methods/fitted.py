@@ -51,6 +51,8 @@ class FitRequest:
     made: dict[tuple[int, str | None], tuple[Session, Built]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.model, str | None):
+            raise ModelError(f"a model must be a name, not {self.model!r}")
         several = self.labels is not None and len(self.sessions) > 1
         object.__setattr__(self, "labels", tuple(self.labels or ()) if several else None)
         for name in ("sessions", "effects", "own"):
