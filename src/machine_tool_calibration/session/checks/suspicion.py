@@ -65,8 +65,8 @@ def _copied(session: Session) -> Iterator[str]:
     """Rows of one setup, repeat, place and direction with the same reading: each of several, or more than by chance."""
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     again, equal = (occurrence(group) > 0 for group in (readings.state, groups(readings.state, readings.displacement)))
-    every = equal.sum() >= _FEWEST_COPIES and (equal == again).all() and np.ptp(readings.displacement)
-    equal &= readings.displacement != 0.0
+    every = equal.sum() >= _FEWEST_COPIES and (equal == again).all() and np.ptp(readings.displacement) > 0.0
+    equal &= every | (readings.displacement != 0.0)
     if every or (equal.any() and _hardly_by_chance(readings.displacement[~equal], int(again.sum()), session.sigma)):
         yield say("suspicion.copied", n=int(equal.sum()), row=int(readings.row[equal][0]))
 
