@@ -10,6 +10,7 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.residuals.gross_errors import find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.checks import check_session
@@ -38,6 +39,10 @@ PLANS = {
     "iso230_2": PRESETS["iso230_2"],
     "grid_plate": PRESETS["grid_plate"],
 }
+
+
+def _built(session: Session) -> MethodModel:
+    return build_model(session)[0]
 
 
 def with_gross_errors(session: Session, share: float, seed: int) -> tuple[Session, set[int]]:
@@ -292,3 +297,18 @@ def test_a_counter_that_lost_its_count_at_the_end_of_a_setup(name: str) -> None:
         session.with_readings(replace(session.readings, displacement=reading)), lambda part: build_model(part)[0]
     )
     assert {o.row for o in found if not o.ambiguous} == {int(row) for row in session.readings.row[last]}
+
+
+@pytest.mark.parametrize(("length", "size"), [(4, 40e-6), (5, 8e-6), (10, 8e-6)])
+def test_a_burst_of_wrong_readings_is_no_course_of_the_run(length: int, size: float) -> None:
+    """Something is in the beam for a minute; a reversal of the axis for as long is left alone."""
+    session = simulate(SimulationSpec(plan=PLANS["tracking_3d"], seed=8)).session
+    readings = session.readings
+    hit = (readings.row >= 403) & (readings.row < 403 + length)
+    found = find_outliers(plates.with_columns(session, readings.displacement + size * hit), _built)
+    assert {one.row for one in found} >= set(readings.row[hit].tolist())
+    assert len(found) <= length + 1
+    # The same where the axis moves the other way for just as long.
+    columns = {**readings.columns, "dir_x": np.where(hit, -1.0, 1.0)}
+    turned = replace(readings, displacement=readings.displacement + size * hit, columns=columns)
+    assert len(find_outliers(session.with_readings(turned), _built)) < length

@@ -247,6 +247,10 @@ NEARLY_ALL = 0.95
 """Share of what effects explain together from which those of them that can be added are all: what is left to the others
 is no more than a law that holds to some tenths leaves of them."""
 
+BURST, BESIDE_A_BURST, FAR_OUT = 12, 0.25, 5.0
+"""Readings in a row of one burst at most, the share of it that the next ones are off by, and noises that it is far out:
+a hand, a chip or a cable in the beam for a minute; what lasts longer is a course of the run."""
+
 STEPS_ARE_RARE = 20.0
 """How much rarer than a wrong reading a step, or a bend too steep for the tables, is in one place of a machine."""
 

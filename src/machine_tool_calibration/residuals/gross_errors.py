@@ -170,8 +170,9 @@ class _Search:
         self.problem = assemble([model]).problem
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
-        self.neighbours = Neighbours(self.readings, model.observations.direction)
-        self.way = _way(model.observations) if spec_of(model.observations.session).reads_machine else None
+        direct = spec_of(model.observations.session).reads_machine
+        self.neighbours = Neighbours(self.readings, model.observations.direction, bursts=not direct)
+        self.way = _way(model.observations) if direct else None
         place = self.readings.alike(setup=False, approach=False, signed=False)
         self.once = np.bincount(place)[place] == 1
         self.sigma = model.sigma
@@ -346,7 +347,7 @@ class _Search:
         if not np.isfinite(fit.bulk.scale):
             return np.zeros(len(held), dtype=bool)
         explained = self.neighbours.explained(held, fit.residual, fit.bulk.scale, fit.bulk.limit)
-        explained |= self.neighbours.in_a_row(held, fit.residual)
+        explained |= self.neighbours.in_a_row(held, fit.residual, fit.bulk.scale)
         explained |= self.neighbours.repeated(held, fit.residual, fit.bulk.scale * fit.bulk.limit)
         explained |= self._beside_a_bend(held, fit.residual, fit.bulk)
         return explained & (np.abs(fit.residual * self.sigma)[held] < _COURSE)

@@ -14,12 +14,13 @@ class Neighbours:
     What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
     """
 
-    def __init__(self, readings: Readings, direction: Array) -> None:
+    def __init__(self, readings: Readings, direction: Array, bursts: bool = True) -> None:
         """Order them.
 
         Args:
             readings: in the order of time; those along x and along y of a part are two runs.
             direction: (n, 3) that each senses.
+            bursts: whether a short stretch that jumps away and back is no course, nor the machine's.
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
@@ -28,6 +29,11 @@ class Neighbours:
         place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
         self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
         self.repeats = _Ordered(readings.alike())
+        approaches = [np.sign(readings.columns[f"dir_{a}"]) for a in "xyzabc" if f"dir_{a}" in readings.columns]
+        alike = [groups(readings.setup, approach) for approach in approaches or [np.zeros(len(run))]]
+        # (n,) readings of the setup with the same approach, along the axis of which the fewest have it
+        self.approached_alike = np.min([np.bincount(one)[one] for one in alike], axis=0)
+        self.bursts = bursts
         # Read again in another setup, such as a circle at another feed.
         sensed = np.round(direction.T * 1e6)
         self.elsewhere = _Ordered(groups(readings.alike(setup=False), *sensed))
@@ -57,23 +63,46 @@ class Neighbours:
         """
         along, values = self.run.near(which, residual)
         repeats, out = self.repeats.near(which, residual)[1], np.zeros(len(which), dtype=bool)
+        burst = self._in_a_burst(which, residual, noise)
         before, after = (values[:, along < 0], along[along < 0]), (values[:, along > 0], along[along > 0])
         for near, steps in (before, after, (repeats, None)):
             # Most of the neighbours deviate themselves: a course, or what reproduces, is not made by a single one.
             most = np.sum(np.abs(near) > priors.QUIET * noise, axis=1) >= priors.AGREEING
+            if steps is not None:
+                most &= ~burst
             for level in [_median(near, priors.AGREEING)] + ([_line(steps, near)] if steps is not None else []):
                 within = limit * np.sqrt(noise**2 + (priors.CURVED * level) ** 2)
                 out |= most & (np.abs(residual[which] - level) < within)
         return out
 
-    def in_a_row(self, which: IntArray, residual: Array) -> BoolArray:
-        """(k,) whether several next to a reading deviate in its sense, none by much less."""
+    def in_a_row(self, which: IntArray, residual: Array, noise: float) -> BoolArray:
+        """(k,) whether several next to a reading deviate in its sense, none by much less, and no burst of them."""
         along, values = self.run.near(which, residual)
         own = residual[which][:, None]
         alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
         before, after = alike[:, along < 0][:, ::-1], alike[:, along > 0]
         count = sum(np.cumprod(side, axis=1).sum(axis=1) for side in (before, after))
-        return np.asarray(count >= priors.AGREEING)
+        return np.asarray(count >= priors.AGREEING) & ~self._in_a_burst(which, residual, noise)
+
+    def _in_a_burst(self, which: IntArray, residual: Array, noise: float) -> BoolArray:
+        """(k,) whether a reading is in a short stretch that jumps away and back, as while something is in the beam.
+
+        Both sides of it are quiet, and most readings that were approached in the same way are outside: a course comes
+        and goes slowly, a reversal lasts as long as the direction. What reads the machine itself may find it so.
+        """
+        if not self.bursts:
+            return np.zeros(len(which), dtype=bool)
+        along, values = self.run.near(which, residual, priors.BURST + 1)
+        own = residual[which][:, None]
+        alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
+        quiet = np.abs(values) < np.maximum(priors.BESIDE_A_BURST * np.abs(own), priors.QUIET * noise)
+        length, ends, row = np.ones(len(which), dtype=np.int64), np.ones(len(which), dtype=bool), np.arange(len(which))
+        for side in (np.flatnonzero(along < 0)[::-1], np.flatnonzero(along > 0)):
+            count = np.cumprod(alike[:, side], axis=1).sum(axis=1)
+            ends &= (count < len(side)) & quiet[row, side[np.minimum(count, len(side) - 1)]]
+            length += count
+        shared = self.approached_alike[which] > 2 * length
+        return ends & (length <= priors.BURST) & shared & (np.abs(own[:, 0]) > priors.FAR_OUT * noise)
 
     def one_side(
         self, which: IntArray, read: Array, way: Array, missed: Array, noise: Array, limit: float
@@ -132,9 +161,9 @@ class _Ordered:
         self.position = np.empty(len(group), dtype=np.int64)
         self.position[self.order] = np.arange(len(group))
 
-    def near(self, which: IntArray, residual: Array) -> tuple[Array, Array]:
-        """(8,) steps to the next readings of the group before and after, and (k, 8) their residuals, NaN where none."""
-        along = np.setdiff1d(np.arange(-priors.NEIGHBOURS, priors.NEIGHBOURS + 1), 0)
+    def near(self, which: IntArray, residual: Array, most: int = priors.NEIGHBOURS) -> tuple[Array, Array]:
+        """(m,) steps to the next readings of the group before and after, and (k, m) their residuals, NaN where none."""
+        along = np.setdiff1d(np.arange(-most, most + 1), 0)
         near = self.position[which][:, None] + along
         inside = (near >= 0) & (near < len(self.order))
         near = self.order[np.clip(near, 0, len(self.order) - 1)]
