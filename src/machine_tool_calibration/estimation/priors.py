@@ -190,6 +190,10 @@ AS_LIKELY = 0.5
 """Share of the likeliest look-alike's probability from which a commoner one, which the catalogue has before it, stands
 for both: readings that do not distinguish them give them probabilities that differ by their priors' widths alone."""
 
+MOST_ALIKE, OF_FEW = 4, 0.8
+"""Look-alikes of which one is named for all, and the share of their probability that so few have: more are no answer to
+what is missing."""
+
 LAW, SECOND_TIME_CONSTANT = 0.5, 1.0
 """Share of a surer effect's signal below which another one that is the same but for a smooth function of time is what
 that effect differs from its law by; and the same where that effect has a time constant and the other none: slow parts

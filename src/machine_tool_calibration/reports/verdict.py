@@ -134,6 +134,8 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     elif scatters or enough:
         key = ("no_effect" if enough else "no_pattern") if scatters else "nothing_matters"
         sound = say(f"diagnosis.{key}", residual=residual)
+    elif look.nothing < 0.5:
+        sound = say("diagnosis.one_of_many", p=probability(1.0 - look.nothing), residual=residual)
     else:
         sound = say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
     # Of the readings that were not set aside.

@@ -265,7 +265,8 @@ def _accepted(
     """Effects that are in more likely than not, the surest first; of a group of look-alikes one stands for all.
 
     Each given those before it: what is likely in different sets is not for that likely together. The surest is
-    accepted from the first of two probabilities, those beside it from the second.
+    accepted from the first of two probabilities, those beside it from the second. One of many that share the probability
+    stands for none: something is missing, and nobody knows what.
     """
     place = columns.place
     left = [[place[name] for name in group] for group in groups]
@@ -277,7 +278,9 @@ def _accepted(
         best = max(range(len(left)), key=lambda j: (probabilities[j], found.log_factor(heads[j])))
         if probabilities[best] <= limits[bool(accepted)]:
             break
-        accepted.append(heads[best])
+        each = np.sort([found.of(k, given=accepted) for k in left[best]])[::-1]
+        if each[: priors.MOST_ALIKE].sum() >= priors.OF_FEW * each.sum():
+            accepted.append(heads[best])
         del left[best]
     accepted.sort(key=lambda k: -found.log_factor(k))
     # What effects in the model may differ from their laws by is no further one, either.
