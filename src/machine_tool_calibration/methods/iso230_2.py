@@ -198,7 +198,8 @@ def positioning_runs(
         mine = mine[_on(observations.position[mine], line)]
         position, direction, deviation = _approach(observations, mine, line)
         places, times = np.unique(position, return_counts=True)
-        alone = not diagonals and abs(direction.sum()) == len(mine) and times.max() < 2
+        # In one direction once, or there and back at other places.
+        alone = not diagonals and 2 * np.count_nonzero(times > 1) < len(places)
         if len(places) < 2 or alone:
             continue
         figures = positioning(position, direction, deviation)
