@@ -61,7 +61,7 @@ def verdict_words(
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
-    if diagnosis.accepted and only_reversal(diagnosis) and _once_without_times(diagnosis):
+    if _is_there_and_back_once(diagnosis):
         yield say("diagnosis.or_a_drift")
     for words in diagnosis.suspicious:
         yield say("diagnosis.suspicious", what=words)
@@ -159,10 +159,16 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
     return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in ("backlash", "lost_motion") for axis in axes}
 
 
-def _once_without_times(diagnosis: Diagnosis) -> bool:
-    """Whether the order of the readings does not tell a drift from a reversal: there and back once."""
+# Changes of an axis's direction where it went there and back once, from where it may have come from either side.
+_ONE_REVERSAL = 2
+
+
+def _is_there_and_back_once(diagnosis: Diagnosis) -> bool:
+    """Whether an axis of which a reversal was found turned once, and no times tell that from a drift."""
+    found = {name[-1] for name in diagnosis.accepted if name[:-1] in ("backlash_", "lost_motion_")}
     observed = [model.observations for model in diagnosis.fits[0].assembly.models]
-    return any(not one.timed and one.readings.repeat.max() == one.readings.repeat.min() for one in observed)
+    ways = [one.readings.columns[f"dir_{axis}"] for axis in found for one in observed if not one.timed]
+    return any(np.count_nonzero(np.diff(way[way != 0])) <= _ONE_REVERSAL for way in ways)
 
 
 def next_step(diagnosis: Diagnosis, advice: Advice) -> str:

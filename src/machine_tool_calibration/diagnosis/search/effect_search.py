@@ -265,8 +265,8 @@ def _accepted(
     """Effects that are in more likely than not, the surest first; of a group of look-alikes one stands for all.
 
     Each given those before it: what is likely in different sets is not for that likely together. The surest is
-    accepted from the first of two probabilities, those beside it from the second. One of many that share the probability
-    stands for none: something is missing, and nobody knows what.
+    accepted from the first of two probabilities, those beside it from the second. One of many that share the
+    probability stands for none: something is missing, and nobody knows what.
     """
     place = columns.place
     left = [[place[name] for name in group] for group in groups]
