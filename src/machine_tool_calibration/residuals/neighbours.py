@@ -102,7 +102,7 @@ class Neighbours:
             ends &= (count < len(side)) & quiet[row, side[np.minimum(count, len(side) - 1)]]
             length += count
         shared = self.approached_alike[which] > 2 * length
-        return ends & (length <= priors.BURST) & shared & (np.abs(own[:, 0]) > priors.FAR_OUT * noise)
+        return np.asarray(ends & (length <= priors.BURST) & shared & (np.abs(own[:, 0]) > priors.FAR_OUT * noise))
 
     def one_side(
         self, which: IntArray, read: Array, way: Array, missed: Array, noise: Array, limit: float
