@@ -199,6 +199,7 @@ def test_three_causes_are_named_together() -> None:
     assert set(causes) <= set(diagnose(simulated(*causes)).accepted)
 
 
+@pytest.mark.long
 def test_a_straightness_that_is_periodic_is_no_vibration() -> None:
     flaw = FlawSpec(id="straightness_periodic_EXY", size=0.5e-6, parameters={"lead": 0.033})
     session = simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=1, effects=(flaw,))).session

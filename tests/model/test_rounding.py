@@ -37,6 +37,7 @@ def test_repeats_that_are_rounded_alike_do_not_make_a_place_better_known(noise: 
     assert np.sqrt(np.mean(every**2)) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.long
 def test_what_the_rounding_of_readings_makes_is_no_lost_motion() -> None:
     sessions = [table(np.random.default_rng(seed), 5e-8, reversal=1e-7)[0] for seed in range(4)]
     found = [mtcal.identify(session).diagnose().effects for session in sessions]

@@ -215,6 +215,7 @@ def test_the_map_can_be_turned_and_its_library_is_in_the_page(name):
     assert "plotly" not in page(name, "en", for_paper=True)
 
 
+@pytest.mark.long
 def test_each_error_motion_has_a_picture_and_each_standard_a_page():
     names = [picture.name for picture in blocks("rotary_axis", Picture)]
     assert [name for name in names if name.startswith("motion_")] == [f"motion_E{c}C" for c in "XYZABC"]

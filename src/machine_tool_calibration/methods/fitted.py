@@ -91,10 +91,11 @@ class FitRequest:
         variant = self.model if len(self.sessions) == 1 else sharing_variant(session, self.model)
         if not any(session is own for own in self.sessions):
             return build_model(session, variant)
-        key = id(session), variant
-        if key not in self.made:
-            self.made[key] = session, build_model(session, variant)
-        return self.made[key][1]
+        of, built = self.made.get(key := (id(session), variant), (None, None))
+        if of is not session or built is None:
+            built = build_model(session, variant)
+            self.made[key] = session, built
+        return built
 
     def finished(self, base: Built) -> Built:
         """The same as far as it is the session's alone: with the effects, unless several sessions share them."""
