@@ -439,3 +439,22 @@ def test_what_is_refused_for_having_no_size_is_not_likely() -> None:
     unsure = replace(found, accepted=(), refused={name: say("undetermined.not_predicted", what="")})
     assert name in unsure.likely
     assert name not in replace(unsure, refused={name: say("undetermined.no_size")}).likely
+
+
+def after_strokes(seed: int, moved: float) -> Session:
+    """One place, after strokes of which long ones are followed by larger deviations of either sign, um, and a shift."""
+    rng, zero = np.random.default_rng(seed), np.zeros(36)
+    stroke = rng.permutation(np.repeat([1.0, 3.0, 10.0, 30.0, 100.0, 300.0], 6))
+    columns = {"time": 60.0 * np.arange(36), "x": zero, "gx": zero + 1.0, "gy": zero, "gz": zero, "stroke": stroke}
+    read = 1e-6 * (rng.normal(size=36) * (1.0 + stroke / 20.0) + moved * stroke)
+    return plates.session({**columns, "displacement": read}, 1e-6, "offset")
+
+
+@pytest.mark.long
+def test_scatter_that_grows_with_a_column_is_no_movement_with_it() -> None:
+    every = [diagnose(after_strokes(seed, 0.0)) for seed in range(12)]
+    assert not [name for found in every for name in found.accepted if name.startswith("follows")]
+    reasons = [key for found in every for why in found.refused.values() for key in keys(why)]
+    assert "undetermined.of_the_scatter" in reasons
+    for seed in range(2):
+        assert diagnose(after_strokes(seed, 0.1)).accepted

@@ -25,6 +25,11 @@ from machine_tool_calibration.words import Said, say, together
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
+# Reasons for which an effect is refused that changes nothing.
+_CHANGE_NOTHING = ("undetermined.no_size", "undetermined.explains_nothing", "undetermined.of_the_scatter")
+# Share of an effect's squares that a single reading has at most, for its own leverage.
+_MOST_OF_ONE = 0.999
+
 
 class Added(NamedTuple):
     """What the model can take of the probable effects."""
@@ -73,8 +78,8 @@ def add_probable(
                 else:
                     deferred = (*deferred, one)
                 return add_probable(names, search, predicted, first, fit_with, spurious, deferred)
-            if not _explains(fitted[-1].joint, wider.joint, search.memory):
-                refused[name] = say("undetermined.explains_nothing")
+            if nothing := _changes_nothing(fitted[-1].joint, wider.joint, name, search.memory):
+                refused[name] = nothing
                 continue
             fitted.append(wider)
             accepted.append(name)
@@ -100,10 +105,30 @@ def _settled(fit: JointFit) -> None:
         raise ModelError("together with the model's own unknowns the data does not determine it")
 
 
-def _explains(before: JointFit, after: JointFit, memory: float) -> bool:
-    """Whether an effect lowers the squares of so many readings that tell as much as one, random functions aside."""
+def _changes_nothing(before: JointFit, after: JointFit, name: str, memory: float) -> Said | None:
+    """Why an effect is none that changes the readings; None if it is one.
+
+    It lowers the squares of so many readings that tell as much as one, random functions aside.
+    """
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
-    return gain >= priors.LEAST_GAIN * memory * min(after.reduced_chi_square, 1.0)
+    if gain < priors.LEAST_GAIN * memory * min(after.reduced_chi_square, 1.0):
+        return say("undetermined.explains_nothing")
+    return say("undetermined.of_the_scatter") if _is_of_the_scatter(before, after, name) else None
+
+
+def _is_of_the_scatter(before: JointFit, after: JointFit, name: str) -> bool:
+    """Whether readings scatter most where an effect changes most, and its size does not stand out of that.
+
+    What the effect takes out of the residuals, d, is its column outside the model times its size. The variance of the
+    sum of d y by the residuals e themselves, not by one scatter of all (White 1980; HC3 of MacKinnon and White 1985).
+    """
+    pool = Pool(after)
+    d = (Pool(before).residuals - pool.residuals) / pool.sigma
+    e, whole = pool.residuals / pool.sigma, float(d @ d)
+    own = whole**2 / np.sum((d * e / (1.0 - np.minimum(d**2 / whole, _MOST_OF_ONE))) ** 2)
+    alike = whole / np.mean(e**2)
+    count = sum(p.kind is Kind.EFFECT and p.owner == name for p in after.assembly.parameters)
+    return bool(own < priors.OF_ONE_SCATTER * alike and special.chdtrc(count, own) > priors.OF_THE_SCATTER_P)
 
 
 def _spurious(
@@ -150,7 +175,7 @@ def _no_size(names: Sequence[str]) -> Said:
 
 def without_size(why: str) -> bool:
     """Whether an effect was refused as one that changes nothing: it is not what is missing."""
-    return isinstance(why, Said) and why.key in ("undetermined.no_size", "undetermined.explains_nothing")
+    return isinstance(why, Said) and why.key in _CHANGE_NOTHING
 
 
 def _chi_square(fit_with: Callable[[tuple[str, ...]], FittedSessions], names: Iterable[str]) -> float:

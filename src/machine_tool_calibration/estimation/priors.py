@@ -190,6 +190,10 @@ AS_LIKELY = 0.5
 """Share of the likeliest look-alike's probability from which a commoner one, which the catalogue has before it, stands
 for both: readings that do not distinguish them give them probabilities that differ by their priors' widths alone."""
 
+OF_ONE_SCATTER, OF_THE_SCATTER_P = 0.6, 1e-4
+"""Squares of an effect's size over its uncertainty by the scatter where it acts, over those by one scatter of all,
+below which that matters; and their probability by chance from which it is no effect, where a hundred were tried."""
+
 MOST_ALIKE, OF_FEW = 4, 0.8
 """Look-alikes of which one is named for all, and the share of their probability that so few have: more are no answer to
 what is missing."""
