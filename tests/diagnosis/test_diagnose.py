@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.adding import _explains, _hold, _sized, _spurious, better_special_cases
+from machine_tool_calibration.diagnosis.adding import _changes_nothing, _hold, _sized, _spurious, better_special_cases
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _verdict, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
@@ -28,6 +28,7 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 
 from ..cube import CUBE
 from ..diagnosed import diagnosed
+from ..told import keys
 
 SIGMA = 3e-7
 
@@ -211,11 +212,11 @@ def test_an_effect_must_lower_the_sum_of_squares() -> None:
     spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=8, effects=(FlawSpec(id="backlash_x", amplitude=1.5e-6),))
     session = simulate(spec).session
     without, with_it = (identify(session, effects=effects).joint for effects in ([], ["backlash_x"]))
-    assert _explains(without, with_it, 1.0)
-    assert not _explains(without, without, 1.0)
-    assert not _explains(with_it, without, 1.0)
+    assert _changes_nothing(without, with_it, "backlash_x", 1.0) is None
+    assert keys(_changes_nothing(without, without, "backlash_x", 1.0)) == ["undetermined.explains_nothing"]
+    assert keys(_changes_nothing(with_it, without, "backlash_x", 1.0)) == ["undetermined.explains_nothing"]
     # Of readings of which a million tell as much as one it is nothing.
-    assert not _explains(without, with_it, 1e6)
+    assert keys(_changes_nothing(without, with_it, "backlash_x", 1e6)) == ["undetermined.explains_nothing"]
 
 
 @pytest.mark.parametrize(
