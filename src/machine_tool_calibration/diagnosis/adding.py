@@ -125,10 +125,12 @@ def _is_of_the_scatter(before: JointFit, after: JointFit, name: str) -> bool:
     pool = Pool(after)
     d = (Pool(before).residuals - pool.residuals) / pool.sigma
     e, whole = pool.residuals / pool.sigma, float(d @ d)
-    own = whole**2 / np.sum((d * e / (1.0 - np.minimum(d**2 / whole, _MOST_OF_ONE))) ** 2)
-    alike = whole / np.mean(e**2)
+    leverage = np.minimum(d**2 / max(whole, np.finfo(float).tiny), _MOST_OF_ONE)
+    own, alike = float(np.sum((d * e / (1.0 - leverage)) ** 2)), whole * float(np.mean(e**2))
+    if priors.OF_ONE_SCATTER * own <= alike:
+        return False
     count = sum(p.kind is Kind.EFFECT and p.owner == name for p in after.assembly.parameters)
-    return bool(own < priors.OF_ONE_SCATTER * alike and special.chdtrc(count, own) > priors.OF_THE_SCATTER_P)
+    return bool(special.chdtrc(count, whole**2 / own) > priors.OF_THE_SCATTER_P)
 
 
 def _spurious(

@@ -361,6 +361,7 @@ class _Search:
             return np.zeros(len(which), dtype=bool)
         missed, noise = residual[which] * self.sigma[which], bulk.scale * self.sigma[which]
         bent = self.neighbours.one_side(which, self.readings.displacement, self.way, missed, noise, bulk.limit)
+        bent &= np.abs(missed) < _COURSE
         self.explained[which[bent]] = True
         self.bent[which[bent]] = self.once[which[bent]]
         return bent
