@@ -13,8 +13,8 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing import import_table, parse_mapping
 from machine_tool_calibration.importing.mapping import ROLES, Mapping
 from machine_tool_calibration.importing.text_table import FileForm
-from machine_tool_calibration.importing.units import UNITS as KNOWN_UNITS
 from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.units import UNITS as KNOWN_UNITS
 
 DATA = Path(__file__).parents[1] / "data"
 UNITS = {"length": "mm", "angle": "deg", "pressure": "hPa"}

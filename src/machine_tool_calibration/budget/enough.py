@@ -13,9 +13,9 @@ from machine_tool_calibration.budget import complete
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.units import quantity
 
 _THERE, _ABSENT = 0.95, 0.05  # probabilities from which an effect counts as there, and up to which as not there
 # Share of the largest plausible size that must have been detectable for an effect that is not there.

@@ -9,11 +9,11 @@ from pydantic import Field
 
 from machine_tool_calibration.budget.conformity import unit_of_figure
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.values import Finite
+from machine_tool_calibration.units import quantity
 
 FORMAT = "mtcal-tolerances/1"
 

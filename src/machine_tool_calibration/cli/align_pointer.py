@@ -30,9 +30,9 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
     mtcal run pointer_centre --no-identify && mtcal align-pointer mtcal_output/pointer_centre/session
     """
     from machine_tool_calibration.importing.own import read_alignment
-    from machine_tool_calibration.importing.units import quantity
     from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle
     from machine_tool_calibration.reports.pointer_alignment import alignment_document, alignment_parts
+    from machine_tool_calibration.units import quantity
 
     u = 0.0 if machine is None else quantity(machine, "length", "--machine")
     if u < 0:

@@ -167,7 +167,7 @@ def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 
 def _units(texts: Sequence[str]) -> dict[str, str]:
-    from machine_tool_calibration.importing.units import dimension
+    from machine_tool_calibration.units import dimension
 
     out = {}
     for text in texts:

@@ -15,12 +15,12 @@ from machine_tool_calibration.importing.mapping import ROLES, Mapping
 from machine_tool_calibration.importing.points import point_rows, range_rows
 from machine_tool_calibration.importing.positioning import circle_rows, positioning_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
-from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble, distinct_labels
+from machine_tool_calibration.units import quantity
 
 _SHOWN = 12  # columns that a note names
 _LABELS = tuple(role for role, kind in ROLES["readings"].items() if kind == "text" and role != "setup")

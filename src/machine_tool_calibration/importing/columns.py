@@ -11,7 +11,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.mapping import ROLES, ColumnRule
 from machine_tool_calibration.importing.mapping import Mapping as TableMapping
 from machine_tool_calibration.importing.text_table import TextTable
-from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name, unknown_unit, without_unit
+from machine_tool_calibration.units import dimension, quantity, unit_in_name, unknown_unit, without_unit
 
 _NEED_NO_UNIT = {"time": "s", "temperature": "degC", "number": "1"}
 

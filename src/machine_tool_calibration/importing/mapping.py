@@ -8,9 +8,9 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
-from machine_tool_calibration.importing.units import UNITS, spelled
 from machine_tool_calibration.session.record import Record, validated
 from machine_tool_calibration.session.text import read_yaml
+from machine_tool_calibration.units import UNITS, spelled
 
 FORMAT = "mtcal-mapping/1"
 _XYZ = ("x", "y", "z")

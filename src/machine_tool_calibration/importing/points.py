@@ -12,7 +12,7 @@ import pandas as pd
 from machine_tool_calibration.arrays import Array, IntArray, best_motion, first_true, groups, occurrence
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
-from machine_tool_calibration.importing.units import quantity
+from machine_tool_calibration.units import quantity
 
 
 def has_angles(columns: Columns) -> bool:

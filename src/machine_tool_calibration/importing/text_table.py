@@ -18,9 +18,9 @@ from pydantic import Field
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_bytes, reject_foreign_encoding
+from machine_tool_calibration.units import si_values
 
 _CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
 _GERMAN = re.compile(r"(\d?\d)\.(\d?\d)\.(\d{4})[ T](.*)")
