@@ -21,8 +21,9 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.procedure.description import read_procedure
 from machine_tool_calibration.procedure.steps import plan
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.description import BallBar, Place
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
@@ -390,3 +391,58 @@ def test_a_circle_beyond_the_travel_is_refused() -> None:
     session = procedure.session.model_copy(update={"machine": machine})
     with pytest.raises(SessionError, match=r"circle XY reaches x = 0\.0"):
         plan(procedure.model_copy(update={"session": session}), 1000)
+
+
+def simulated_circles(seed: int, *flaws: FlawSpec, feeds: bool = True) -> Session:
+    """Circles at two feeds in XY; without `feeds` the description does not say these."""
+    session = simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=seed, effects=flaws)).session
+    if feeds:
+        return session
+    setups = tuple(setup.model_copy(update={"feed": None}) for setup in session.description.as_a(BallBar).setups)
+    return replace(session, description=session.description.model_copy(update={"setups": setups}))
+
+
+@pytest.mark.parametrize("size", [3e-6, 12e-6])
+def test_spikes_of_circles_that_were_read_on_the_move_are_no_gross_errors(size: float) -> None:
+    """At another feed the readings are tens of micrometres beside those of the first."""
+    spike = FlawSpec(id="reversal_spike_y", amplitude=size, parameters={"reach": 5e-3})
+    session = simulated_circles(3, spike)
+    readings, rng = session.readings, np.random.default_rng(3)
+    beside = {name: readings.columns[name] + 3e-5 * rng.normal(size=len(readings)) for name in "xy"}
+    moved = session.with_readings(replace(readings, columns={**readings.columns, **beside}))
+    assert not identify(moved).rejected
+    wrong = moved.readings.displacement + 2e-5 * (readings.row == 77)
+    found = identify(moved.with_readings(replace(moved.readings, displacement=wrong)))
+    assert [one.row for one in found.rejected] == [77]
+
+
+def test_what_the_model_lacks_is_in_the_figures_and_no_noise_of_theirs() -> None:
+    """A backlash makes the circles wider; their U is as without it."""
+
+    def figures(*flaws: FlawSpec) -> tuple[Array, Array]:
+        every = identify(simulated_circles(5, *flaws)).error_map.content["figures"]
+        mine = [figure for figure in every if figure["name"] in ("G_ccw", "G_cw", "G_b", "H")]
+        return np.array([one["value"] for one in mine]), np.array([one["U"] for one in mine])
+
+    (without, u), (wide, own) = figures(), figures(FlawSpec(id="backlash_x", size=3e-6))
+    assert (wide > without + 2e-6).all()
+    assert np.median(own / u) == pytest.approx(1.0, abs=0.3)
+
+
+def test_without_a_feed_way_over_time_says_it() -> None:
+    stated, silent = (simulated_circles(2, feeds=feeds) for feeds in (True, False))
+    own, made = (build_model(one)[0].observations.readings.columns["feed"] for one in (stated, silent))
+    np.testing.assert_allclose(made, own, rtol=1e-2)
+    (effect,) = find_effects(["servo_mismatch_x"])
+    assert effect.why_not(build_model(silent)[0].observations) is None
+
+
+def test_a_feed_in_millimetres_a_minute_is_suspicious() -> None:
+    session = simulated_circles(2)
+    setups = session.description.as_a(BallBar).setups
+    wrong = tuple(setup.model_copy(update={"feed": 6e4 * (setup.feed or 0.0)}) for setup in setups)
+    off = replace(session, description=session.description.model_copy(update={"setups": wrong}))
+    spec = spec_of(session)
+    assert not list(spec.suspicious(session))
+    assert len(list(spec.suspicious(off))) == len(setups)
+    assert "way over time is" in next(iter(spec.suspicious(off)))

@@ -112,6 +112,20 @@ def test_an_uncertainty_that_is_none_is_refused_by_file_and_key(u: float) -> Non
         of_result(damaged, "result.json")
 
 
+def test_a_reversal_that_the_model_lacks_hides_no_change_of_scale() -> None:
+    """Both directions of both measurements are 4 um apart: their means tell a change of 4 um at the end."""
+
+    def axis(seed: int, scale: float) -> Statement:
+        flaws = (FlawSpec(id="backlash_x", size=2e-6), FlawSpec(id="scale", size=scale))
+        plan = PRESETS["iso230_2"].model_copy(update={"noise": 3e-7})
+        session = simulate(SimulationSpec(plan=plan, seed=seed, machine=MachineSpec(seed=7), effects=flaws)).session
+        return of_fit(fitted_sessions(identify_sessions(FitRequest((session,)))), str(seed), draws=200)
+
+    before = axis(1, 0.0)
+    assert "EXX" in {one.name for one in check(before, axis(2, 10e-6)).moved}
+    assert not check(before, axis(3, 0.0)).moved
+
+
 def test_a_document_says_the_same_numbers_as_the_fit() -> None:
     result, stated = measured(11)
     document = of_result(result.document(), "result.json")

@@ -16,11 +16,14 @@ import pytest
 from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify_sessions
+from machine_tool_calibration.reports.trends import trend_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
-from machine_tool_calibration.trends.logbook import Entry, Logbook, date_of, entry_of, is_logbook
+from machine_tool_calibration.trends.logbook import Entry, Logbook, _moment, date_of, entry_of, is_logbook, last_moment
 from machine_tool_calibration.trends.statement import Size, sizes_of
 from machine_tool_calibration.trends.trend import trend
+
+from ..told import keys
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +65,11 @@ def test_moments_in_several_time_zones_are_in_their_order(measured: tuple[Sessio
     for k, date in enumerate(dates):
         book.add(replace(measured[1], date=date, sha256=f"{k:064d}"))
     assert [entry.date for entry in book.entries()] == [dates[k] for k in (3, 0, 2, 1)]
+
+
+def test_a_day_counts_to_its_end_and_moments_by_their_time_zone() -> None:
+    assert _moment("2026-05-04T23:00:00") < last_moment("2026-05-04") < _moment("2026-05-05")
+    assert _moment("2026-03-01T10:00:00+02:00") < last_moment("2026-03-01T09:00:00+00:00")
 
 
 def test_the_same_session_again_changes_nothing(measured: tuple[Session, Entry], tmp_path: Path) -> None:
@@ -219,6 +227,7 @@ def test_a_limit_is_exceeded_where_the_uncertainty_does_not_explain_it(
 def test_few_sessions_say_nothing_and_an_unknown_limit_is_refused() -> None:
     found = trend(entries(3, lambda k: 1e-6 * 10**k))
     assert found.courses[0].kind == "few" and not found.alarms
+    assert [key for words in trend_words(found) for key in keys(words)] == ["trend.untold"]
     with pytest.raises(ModelError, match="did you mean 'EXX'"):
         trend(entries(3, lambda k: 5e-6), {"EXY": 1e-6})
     with pytest.raises(ModelError, match="EAX is in m: limits are for errors in m and squareness in rad"):

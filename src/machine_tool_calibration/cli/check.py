@@ -85,14 +85,14 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
 def _before(entries: tuple[Entry, ...], asked: FitRequest) -> list[Entry]:
     """Entries before the measurement, which may be entered itself."""
     from machine_tool_calibration.session.provenance import provenance
-    from machine_tool_calibration.trends.logbook import date_of
+    from machine_tool_calibration.trends.logbook import date_of, last_moment
 
     origin = provenance(asked.sessions)
     sums = [entry.sha256 for entry in entries]
     found = list(entries[: sums.index(origin.sha256)] if origin.sha256 in sums else entries)
     if origin.sha256 not in sums and (date := origin.sessions[0].measured):
-        when = date_of(date, asked.sessions[0].source)
-        found = [entry for entry in found if entry.date <= when]
+        when = last_moment(date_of(date, asked.sessions[0].source))
+        found = [entry for entry in found if entry.moment <= when]
     if not found:
         raise CalibrationError(f"{entries[0].machine}: the logbook has no entry before this measurement")
     return found

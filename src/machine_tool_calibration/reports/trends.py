@@ -134,8 +134,9 @@ def trend_words(found: Trend) -> Iterator[str]:
         names, size = enumeration([one.name for one, _ in shifted]), quantity(said.step, most.unit, said.u_step)
         instrument = most.ways[most.way[-1]]
         yield say("trend.says_instrument", names=names, name=most.name, instrument=instrument, size=size)
+    told = sum(one.kind != "few" for one in found.courses)
     if not found.alarms:
-        yield say("trend.quiet", n=len(found.courses))
+        yield say("trend.quiet", n=told) if told else say("trend.untold")
 
 
 def _last(one: Course) -> str:

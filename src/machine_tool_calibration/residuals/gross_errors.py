@@ -171,7 +171,7 @@ class _Search:
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
         direct = spec_of(model.observations.session).reads_machine
-        self.neighbours = Neighbours(self.readings, model.observations.direction, bursts=not direct)
+        self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct)
         self.way = _way(model.observations) if direct else None
         place = self.readings.alike(setup=False, approach=False, signed=False)
         self.once = np.bincount(place)[place] == 1

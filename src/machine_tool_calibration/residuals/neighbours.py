@@ -2,10 +2,14 @@
 """Readings next to each other in time, or that repeat each other: what they share is no gross error."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.session.session import Readings
+
+# Distance of places that are one, over the usual one of readings, and at most, m; below which nothing moved, m.
+_NEAR, _NEAREST, _SAME = 0.3, 1e-3, 1e-9
 
 
 class Neighbours:
@@ -14,13 +18,14 @@ class Neighbours:
     What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
     """
 
-    def __init__(self, readings: Readings, direction: Array, bursts: bool = True) -> None:
+    def __init__(self, readings: Readings, direction: Array, of_machine: bool = False) -> None:
         """Order them.
 
         Args:
             readings: in the order of time; those along x and along y of a part are two runs.
             direction: (n, 3) that each senses.
-            bursts: whether a short stretch that jumps away and back is no course, nor the machine's.
+            of_machine: whether they are the machine's own deviations, in which a short stretch that jumps away and back
+                may be its own, and places near each other are alike.
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
@@ -33,10 +38,12 @@ class Neighbours:
         alike = [groups(readings.setup, approach) for approach in approaches or [np.zeros(len(run))]]
         # (n,) readings of the setup with the same approach, along the axis of which the fewest have it
         self.approached_alike = np.min([np.bincount(one)[one] for one in alike], axis=0)
-        self.bursts = bursts
-        # Read again in another setup, such as a circle at another feed.
-        sensed = np.round(direction.T * 1e6)
-        self.elsewhere = _Ordered(groups(readings.alike(setup=False), *sensed))
+        self.of_machine = of_machine
+        # Read again in another setup, such as a circle at another feed, which is read on the move.
+        place = (
+            _near_places(readings) if of_machine else groups(readings.alike(setup=False), *np.round(direction.T * 1e6))
+        )
+        self.elsewhere = _Ordered(place)
 
     def course(self, which: IntArray, residual: Array) -> Array:
         """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
@@ -90,7 +97,7 @@ class Neighbours:
         Both sides of it are quiet, and most readings that were approached in the same way are outside: a course comes
         and goes slowly, a reversal lasts as long as the direction. What reads the machine itself may find it so.
         """
-        if not self.bursts:
+        if self.of_machine:
             return np.zeros(len(which), dtype=bool)
         along, values = self.run.near(which, residual, priors.BURST + 1)
         own = residual[which][:, None]
@@ -150,6 +157,24 @@ class Neighbours:
             alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
             out |= np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1)
         return out
+
+
+def _near_places(readings: Readings) -> IntArray:
+    """(n,) number of the place of each reading: near the first one of it, sensed and approached in the same way."""
+    same = readings.alike(setup=False)
+    first, names = np.unique(same, return_index=True)[1], [name for name in ("x", "y", "z") if name in readings.columns]
+    position = np.nan_to_num(np.column_stack([readings.columns[name][first] for name in names]))
+    step = np.linalg.norm(np.diff(position[np.argsort(first)], axis=0), axis=1)
+    apart = min(_NEAR * float(np.median(step[step > _SAME])), _NEAREST) if (step > _SAME).any() else _SAME
+    keys = [np.sign(readings.columns[f"dir_{name}"]) for name in names if f"dir_{name}" in readings.columns]
+    keys += [np.round(readings.columns[name] * 1e6) for name in ("gx", "gy", "gz") if name in readings.columns]
+    kind = groups(*(key[first] for key in (*keys, *readings.labels.values()))) if keys else np.zeros_like(first)
+    out = np.full(len(first), -1)
+    for k, near in enumerate(cKDTree(position).query_ball_point(position, apart)):
+        if out[k] < 0:
+            mine = np.array(near)
+            out[mine[(out[mine] < 0) & (kind[mine] == kind[k])]] = k
+    return groups(out[same])
 
 
 class _Ordered:

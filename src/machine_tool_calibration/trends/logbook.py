@@ -82,8 +82,7 @@ class Entry:
     @property
     def moment(self) -> datetime.datetime:
         """When it was measured: UTC where no time zone is said."""
-        moment = datetime.datetime.fromisoformat(self.date)
-        return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+        return _moment(self.date)
 
     @cached_property
     def session(self) -> Session:
@@ -146,6 +145,17 @@ def date_of(text: str, where: str) -> str:
         with suppress(ValueError):
             return kind.fromisoformat(text).isoformat()
     raise CalibrationError(f"{where}: {text!r} is no date such as 2026-05-04 (ISO 8601)")
+
+
+def last_moment(date: str) -> datetime.datetime:
+    """Until when a measurement of a day or moment of `date_of` was made: a day counts to its end."""
+    day = datetime.timedelta(days=1, microseconds=-1) if len(date) == len("2026-05-04") else datetime.timedelta()
+    return _moment(date) + day
+
+
+def _moment(date: str) -> datetime.datetime:
+    moment = datetime.datetime.fromisoformat(date)
+    return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
 
 
 def _instrument(session: Session) -> str:

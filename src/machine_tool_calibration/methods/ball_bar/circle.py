@@ -48,3 +48,18 @@ def travel_sense(arm: Array, plane: IntArray, readings: Readings) -> Array | Non
     tangent = np.column_stack([-np.sin(angle), np.cos(angle)])
     along = np.where(np.abs(tangent) > _STANDS, np.sign(tangent) * np.sign(in_plane(moved, plane)), 0.0).sum(axis=1)
     return np.where(along == 0.0, np.nan, np.sign(along))
+
+
+def way_over_time(readings: Readings) -> Array:
+    """(n,) path speed of each reading's setup, m/s: the median of way over time; NaN where no times tell it."""
+    out = np.full(len(readings), np.nan)
+    if "time" not in readings.columns:
+        return out
+    moved, took = np.linalg.norm(np.diff(readings.position(), axis=0), axis=1), np.diff(readings.columns["time"])
+    run = readings.repeat_of_setup
+    going = (run[1:] == run[:-1]) & (took > 0) & np.isfinite(moved)
+    for setup in np.unique(readings.setup):
+        mine = going & (readings.setup[1:] == setup)
+        if mine.any():
+            out[readings.setup == setup] = np.median(moved[mine] / took[mine])
+    return out

@@ -27,6 +27,9 @@ _NOTHING = 1e-12
 WAYS: Mapping[str, float] = {"ccw": 1.0, "cw": -1.0}
 """Ways round, and their sense."""
 
+# Readings of a run of which second differences tell the noise; median of the absolute value of normal noise of size 1.
+_TELLING, _NORMAL_MEDIAN = 12, 0.6745
+
 
 @dataclass(frozen=True)
 class _Path:
@@ -49,7 +52,7 @@ def circular_tests(
     Args:
         seen: the readings.
         second_order: (n,) what the offset of the centre adds to its first order, m.
-        u: (n,) standard uncertainty of a reading, m.
+        u: (n,) standard uncertainty of a reading, m, by how all scatter about the model.
 
     Returns:
         Entries with `standard`, `setup`, `name`, `value`, expanded uncertainty `U` (k = 2) and `unit`; and of each
@@ -64,6 +67,8 @@ def circular_tests(
     if sense is None:
         return figures, circles
     angle, radial = angles(arm, plane), seen.readings.displacement - second_order
+    # What the model lacks is the machine's, and in the figures: it is no noise of theirs.
+    u = np.minimum(u, _noise(seen, sense, radial))
     for index, setup in enumerate(description.setups):
         paths = {}
         for way, sign in WAYS.items():
@@ -79,6 +84,20 @@ def circular_tests(
             entry = {"setup": setup.id, "plane": setup.plane, "way": way, "angle": path.angle}
             circles.append({**entry, "deviation": path.about(both)})
     return figures, circles
+
+
+def _noise(seen: Observations, sense: Array, radial: Array) -> Array:
+    """(n,) standard uncertainty of a reading, m, by second differences along its run; no smaller than declared.
+
+    Of independent readings these have a variance of six. Infinite where a run is too short to tell.
+    """
+    run = groups(seen.readings.setup, seen.readings.repeat, np.nan_to_num(sense))
+    out = np.full(len(radial), np.inf)
+    for mine in (np.flatnonzero(run == one) for one in np.unique(run)):
+        if len(mine) >= _TELLING:
+            bent = np.median(np.abs(np.diff(radial[mine], 2))) / (_NORMAL_MEDIAN * np.sqrt(6.0))
+            out[mine] = np.maximum(bent, seen.session.sigma)
+    return out
 
 
 def _figure(setup: str, name: str, value: float, expanded: float) -> dict[str, Any]:

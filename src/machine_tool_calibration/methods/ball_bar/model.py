@@ -14,7 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.error_motions import SQUARENESS
-from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
+from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, way_over_time
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
 from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.model.fit import Fit
@@ -102,11 +102,13 @@ def build(session: Session, model: str = "circle") -> CircleModel:
 
 
 def _with_feed(description: BallBar, readings: Readings) -> Readings:
-    """The readings with the path speed that the setups state, where no column says it."""
-    feed = np.array([setup.feed or np.nan for setup in description.setups])[readings.setup]
-    if "feed" in readings.columns or not np.isfinite(feed).all():
+    """The readings with the path speed that the setups state, or way over time, where no column has it."""
+    if "feed" in readings.columns:
         return readings
-    return replace(readings, columns={**readings.columns, "feed": feed})
+    feed = np.array([setup.feed or np.nan for setup in description.setups])[readings.setup]
+    made = way_over_time(readings)
+    feed = np.where(np.isfinite(feed), feed, made)
+    return replace(readings, columns={**readings.columns, "feed": feed}) if np.isfinite(feed).all() else readings
 
 
 def _mismatches(scales: str) -> tuple[Parameter, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense
+from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense, way_over_time
 from machine_tool_calibration.session.description import BallBar, Place
 from machine_tool_calibration.session.judgements import Held
 from machine_tool_calibration.session.method import MethodSpec
@@ -16,6 +16,8 @@ from machine_tool_calibration.session.session import Session
 
 # Share of the radius by which a commanded place may be off its circle, and largest deviation that a bar reads, m.
 _OFF_CIRCLE, _RANGE = 1e-3, 3e-3
+# Times by which a stated feed may be off that of way and time, which accelerates and is rounded.
+_FEED = 2.0
 
 
 class CircleSpec(MethodSpec):
@@ -74,7 +76,13 @@ class CircleSpec(MethodSpec):
             yield Held("dir", "one way round the circle", off, np.full(len(off), 0.5), unit="", share=0.05)
 
     def suspicious(self, session: Session) -> Iterator[str]:
-        """Circles without directions of approach."""
+        """Circles without directions of approach, and a feed that is not that of way and time."""
+        setups = session.description.as_a(BallBar).setups
+        stated = np.array([setup.feed or np.nan for setup in setups])[session.readings.setup]
+        ratio = stated / way_over_time(session.readings)
+        for k in np.unique(session.readings.setup[(ratio > _FEED) | (ratio * _FEED < 1.0)]):
+            made = float(np.nanmedian((stated / ratio)[session.readings.setup == k]))
+            yield f"setup {setups[k].id!r} states a feed of {setups[k].feed:g} m/s, and way over time is {made:.3g} m/s"
         if not any(name.startswith("dir_") for name in session.readings.columns):
             yield "no directions of approach (dir_x, …) were recorded: backlash and servo mismatch stay unseen"
 
