@@ -301,12 +301,16 @@ def test_directions_that_go_no_way_round_are_refused() -> None:
         circles.session()
 
 
-def table(folder: Path, lines: list[str]) -> Imported:
+def table(folder: Path, lines: list[str], **columns: Any) -> Imported:
     file = folder / "circle.csv"
     file.write_text("\n".join(lines) + "\n")
     content = {
         "table": "circles",
-        "columns": {"angle": {"column": "Angle", "unit": "deg"}, "radius": {"column": "Radius", "unit": "mm"}},
+        "columns": {
+            "angle": {"column": "Angle", "unit": "deg"},
+            "radius": {"column": "Radius", "unit": "mm"},
+            **columns,
+        },
         "session": {
             "machine": {"chain": "w-Y-X-b-Z-t"},
             "setups": [{"id": "XY", "plane": "XY", "centre": CENTRE.tolist(), "radius": RADIUS}],
@@ -330,6 +334,16 @@ def test_a_table_of_radii_over_the_angle_is_read(tmp_path: Path) -> None:
     # At the top, counter-clockwise, X goes down.
     assert readings.columns["dir_x"][0] == -1.0
     assert readings.columns["dir_x"][-1] == 1.0
+
+
+def test_a_column_says_which_repeat_a_reading_is_of(tmp_path: Path) -> None:
+    """Of two turns one way round, without a stop between them."""
+    angle = 4.0 * np.arange(180) + 1.0
+    rows = [f"{a % 360:.1f},150.001,{k // 90 + 1}" for k, a in enumerate(angle)]
+    session = table(tmp_path, ["Angle,Radius,Turn", *rows], repeat="Turn").session
+    np.testing.assert_array_equal(session.readings.repeat, np.arange(180) // 90)
+    with pytest.raises(SessionError, match=r"circle.csv line 2: repeat is 0.5, not a whole number"):
+        table(tmp_path, ["Angle,Radius,Turn", "1.0,150.001,0.5", *rows[1:]], repeat="Turn")
 
 
 def test_at_a_reversal_an_axis_has_the_sense_of_the_way_there(tmp_path: Path) -> None:

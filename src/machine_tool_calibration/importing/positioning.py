@@ -145,13 +145,18 @@ def _long(columns: Columns) -> Series:
     deviation = _read(columns, "actual", position)
     up = _of_two(columns, "direction", _UP, _DOWN, "up nor down")
     if columns.has("run"):
-        run = columns.filled("run")
-        if (wrong := first_true(run != np.floor(run))) is not None:
-            raise SessionError(f"{table.where(wrong)}: run is {run[wrong]:g}, not a whole number")
-        run = run - run.min()
+        run = _whole(columns, "run")
     else:
         run = occurrence(groups(np.round(position, 9), up)).astype(float)
     return position, run, up, deviation, np.arange(len(table))
+
+
+def _whole(columns: Columns, role: str) -> Array:
+    """(rows,) whole numbers of a column, from 0; a SessionError names the line of one that is none."""
+    number = columns.filled(role)
+    if (wrong := first_true(number != np.floor(number))) is not None:
+        raise SessionError(f"{columns.table.where(wrong)}: {role} is {number[wrong]:g}, not a whole number")
+    return np.asarray(number - number.min())
 
 
 def _read(columns: Columns, whole: str, nominal: Array | float) -> Array:
@@ -183,7 +188,7 @@ _BEFORE = 1e-6
 def circle_rows(columns: Columns, name: str) -> Rows:
     """A reading for each angle, at the place on the circle that the setup states; `name` is the setup's id.
 
-    Runs are told apart by the way round: that of a column `way`, or of the angles' own order.
+    Runs are told apart by the way round, that of a column `way` or of the angles' own order, and by a column `repeat`.
     """
     columns.need(("angle",), "where on the circle")
     setup = _setup(columns, name)
@@ -198,8 +203,8 @@ def circle_rows(columns: Columns, name: str) -> Rows:
     for axis in setup.plane:
         numbers[f"dir_{axis.lower()}"] = np.where(sense * tangent[:, "XYZ".index(axis)] < 0.0, -1.0, 1.0)
     # The first run counter-clockwise and the first clockwise are the first repeat.
-    number = np.zeros(len(angle))
-    for way in (-1.0, 1.0):
+    number = _whole(columns, "repeat") if columns.has("repeat") else np.zeros(len(angle))
+    for way in (-1.0, 1.0) if not columns.has("repeat") else ():
         mine = sense == way
         number[mine] = np.unique(run[mine], return_inverse=True)[1]
     numbers |= {"repeat": number, "displacement": deviation}
