@@ -14,6 +14,7 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.build import Imported, import_table
 from machine_tool_calibration.importing.mapping import parse_mapping
+from machine_tool_calibration.methods.ball_bar.circle import way_over_time
 from machine_tool_calibration.methods.ball_bar.iso230_4 import _mean_path
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
@@ -460,3 +461,9 @@ def test_a_feed_in_millimetres_a_minute_is_suspicious() -> None:
     assert not list(spec.suspicious(session))
     assert len(list(spec.suspicious(off))) == len(setups)
     assert "way over time is" in next(iter(spec.suspicious(off)))
+
+
+def test_where_the_tool_may_have_stopped_for_each_reading_no_feed_is_told() -> None:
+    readings = simulated_circles(2).readings
+    slow = {**readings.columns, "time": 1.5 * np.arange(len(readings))}
+    assert np.isnan(way_over_time(replace(readings, columns=slow))).all()

@@ -166,9 +166,9 @@ _ONE_REVERSAL = 2
 def _is_there_and_back_once(diagnosis: Diagnosis) -> bool:
     """Whether an axis of which a reversal was found turned once, and no times tell that from a drift."""
     found = {name[-1] for name in diagnosis.accepted if name[:-1] in ("backlash_", "lost_motion_")}
-    observed = [model.observations for model in diagnosis.fits[0].assembly.models]
-    ways = [one.readings.columns[f"dir_{axis}"] for axis in found for one in observed if not one.timed]
-    return any(np.count_nonzero(np.diff(way[way != 0])) <= _ONE_REVERSAL for way in ways)
+    untimed = [m.observations.readings for m in diagnosis.fits[0].assembly.models if not m.observations.timed]
+    ways = [way for axis in found for one in untimed if (way := one.columns.get(f"dir_{axis}")) is not None]
+    return any(0 < np.count_nonzero(np.diff(way[way != 0])) <= _ONE_REVERSAL for way in ways)
 
 
 def next_step(diagnosis: Diagnosis, advice: Advice) -> str:

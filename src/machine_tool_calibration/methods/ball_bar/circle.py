@@ -9,6 +9,8 @@ from machine_tool_calibration.session.session import Readings
 
 # Component of a tangent below which an axis stands: it reverses there, and its direction says nothing of the way round.
 _STANDS = 0.02
+# Time from reading to reading, in the fastest setup, below which the tool does not stop for each, s.
+_ON_THE_MOVE = 0.5
 
 
 def arms(description: BallBar, readings: Readings) -> tuple[Array, IntArray]:
@@ -51,15 +53,16 @@ def travel_sense(arm: Array, plane: IntArray, readings: Readings) -> Array | Non
 
 
 def way_over_time(readings: Readings) -> Array:
-    """(n,) path speed of each reading's setup, m/s: the median of way over time; NaN where no times tell it."""
+    """(n,) path speed of each reading's setup, m/s: the median of way over time; NaN where it may have stopped."""
     out = np.full(len(readings), np.nan)
     if "time" not in readings.columns:
         return out
     moved, took = np.linalg.norm(np.diff(readings.position(), axis=0), axis=1), np.diff(readings.columns["time"])
     run = readings.repeat_of_setup
-    going = (run[1:] == run[:-1]) & (took > 0) & np.isfinite(moved)
-    for setup in np.unique(readings.setup):
-        mine = going & (readings.setup[1:] == setup)
-        if mine.any():
-            out[readings.setup == setup] = np.median(moved[mine] / took[mine])
+    going = (run[1:] == run[:-1]) & (took > 0) & (moved > 0)
+    setups = [going & (readings.setup[1:] == setup) for setup in range(int(readings.setup.max(initial=-1)) + 1)]
+    if min((float(np.median(took[mine])) for mine in setups if mine.any()), default=np.inf) < _ON_THE_MOVE:
+        for setup, mine in enumerate(setups):
+            if mine.any():
+                out[readings.setup == setup] = np.median(moved[mine] / took[mine])
     return out
