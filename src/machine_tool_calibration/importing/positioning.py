@@ -202,16 +202,21 @@ def circle_rows(columns: Columns, name: str) -> Rows:
     numbers: dict[str, Array] = dict(zip("xyz", place.T, strict=True))
     for axis in setup.plane:
         numbers[f"dir_{axis.lower()}"] = np.where(sense * tangent[:, "XYZ".index(axis)] < 0.0, -1.0, 1.0)
-    # The first run counter-clockwise and the first clockwise are the first repeat.
-    number = _whole(columns, "repeat") if columns.has("repeat") else np.zeros(len(angle))
-    for way in (-1.0, 1.0) if not columns.has("repeat") else ():
-        mine = sense == way
-        number[mine] = np.unique(run[mine], return_inverse=True)[1]
+    number = _whole(columns, "repeat") if columns.has("repeat") else _repeats(sense, run)
     numbers |= {"repeat": number, "displacement": deviation}
     numbers |= columns.others(("angle", "radius", "deviation", "way", "repeat", *numbers))
     entry = setup.model_dump(exclude_none=True, mode="json")
     described = {"method": "ball_bar", "setups": [entry], "repeats": int(number.max(initial=0.0)) + 1}
     return Rows(numbers, {"setup": np.full(len(angle), setup.id)}, np.arange(len(angle)), described)
+
+
+def _repeats(sense: Array, run: IntArray) -> Array:
+    """(n,) repeat of each reading: the first run counter-clockwise and the first clockwise are the first one."""
+    number = np.zeros(len(run))
+    for way in (-1.0, 1.0):
+        mine = sense == way
+        number[mine] = np.unique(run[mine], return_inverse=True)[1]
+    return number
 
 
 def _setup(columns: Columns, name: str) -> CircleSetup:

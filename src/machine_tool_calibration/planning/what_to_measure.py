@@ -179,7 +179,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     assumed, present = assumed_effects(diagnosis), present_effects(diagnosis)
     chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
     limits = limits_of(sessions[0], chosen.base(sessions[0])[0]) if len(sessions) == 1 else None
-    improvable = limits is not None and limits.cause != "readings"
+    improvable = limits if limits is not None and limits.cause != "readings" else None
 
     def sensed(subject: FitRequest, at: int = 0, **new: Any) -> Sensed | None:
         try:
@@ -197,8 +197,8 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
         further = chosen.instead(k, option.session)
         found = sensed(further, k, first_row=option.first_row, turned=option.turned)
         if found is not None:
-            if limits is not None and improvable:
-                left.append((option, left_with(limits, further.base(option.session)[0])))
+            if improvable is not None:
+                left.append((option, left_with(improvable, further.base(option.session)[0])))
             named = option if labels is None else replace(option, measure=together((labels[k], option.measure), ": "))
             seen.append((named, found))
     separations = []
@@ -209,8 +209,8 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
             separations.append(separation)
     others = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
-    if limits is not None and improvable:
-        limits = with_remedies(limits, left)
+    if improvable is not None:
+        limits = with_remedies(improvable, left)
     return Advice(tuple(separations), tuple(seldom), limits)
 
 

@@ -48,6 +48,8 @@ _PARTLY = 0.5
 _MEMORY = 1.5
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
+# Effects that are the reversal of an axis.
+_OF_REVERSAL = ("backlash", "lost_motion")
 # Share of what places differ by that is most of it.
 _MOST = 0.5
 
@@ -156,7 +158,7 @@ def _with_doubt(name: str, chance: float) -> str:
 def only_reversal(diagnosis: Diagnosis) -> bool:
     """Whether nothing is missing but the reversal of axes that were run both ways by ISO 230-2, which reports it."""
     axes = {str(run["axis"]).lower() for run in diagnosis.fitted[0].error_map.content.get("iso230_2", ())}
-    return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in ("backlash", "lost_motion") for axis in axes}
+    return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in _OF_REVERSAL for axis in axes}
 
 
 # Changes of an axis's direction where it went there and back once, from where it may have come from either side.
@@ -165,7 +167,7 @@ _ONE_REVERSAL = 2
 
 def _is_there_and_back_once(diagnosis: Diagnosis) -> bool:
     """Whether an axis of which a reversal was found turned once, and no times tell that from a drift."""
-    found = {name[-1] for name in diagnosis.accepted if name[:-1] in ("backlash_", "lost_motion_")}
+    found = {name[-1] for name in diagnosis.accepted if name[:-2] in _OF_REVERSAL}
     untimed = [m.observations.readings for m in diagnosis.fits[0].assembly.models if not m.observations.timed]
     ways = [way for axis in found for one in untimed if (way := one.columns.get(f"dir_{axis}")) is not None]
     return any(0 < np.count_nonzero(np.diff(way[way != 0])) <= _ONE_REVERSAL for way in ways)

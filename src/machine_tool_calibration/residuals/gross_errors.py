@@ -156,7 +156,6 @@ class _Search:
     """The search in one model.
 
     Attributes:
-        once: (n,) whether the place of a reading was read once.
         way: (n,) way of the axes up to each reading where it reads the machine's own deviation; None elsewhere.
         start: shared unknowns and points at which the readings are linearised.
         doubtful: rows that are judged in any case.
@@ -173,8 +172,6 @@ class _Search:
         direct = spec_of(model.observations.session).reads_machine
         self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct)
         self.way = _way(model.observations) if direct else None
-        place = self.readings.alike(setup=False, approach=False, signed=False)
-        self.once = np.bincount(place)[place] == 1
         self.sigma = model.sigma
         self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
@@ -304,6 +301,11 @@ class _Search:
         return np.sort(np.concatenate([asked[at[best_set(*joint(at), fit.bulk.limit)]] for at in blocks]))
 
     @cached_property
+    def _any_side(self) -> IntArray:
+        """(n,) number of the place of each reading, from whichever side and in whatever setup it was read."""
+        return self.readings.alike(setup=False, approach=False, signed=False)
+
+    @cached_property
     def _groups(self) -> list[IntArray]:
         """Groups of readings that only tell of each other."""
         out = groups_of_points(self.part)
@@ -363,14 +365,13 @@ class _Search:
         bent = self.neighbours.one_side(which, self.readings.displacement, self.way, missed, noise, bulk.limit)
         bent &= np.abs(missed) < _COURSE
         self.explained[which[bent]] = True
-        self.bent[which[bent]] = self.once[which[bent]]
+        self.bent[which[bent]] = np.bincount(self._any_side)[self._any_side[which[bent]]] == 1
         return bent
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""
         rows, place = self.readings.row, self.readings.alike(approach=False)
-        any_side = self.readings.alike(setup=False, approach=False, signed=False)
-        near = self.part.point_of_reading() if self.part.dimension else any_side
+        near = self.part.point_of_reading() if self.part.dimension else self._any_side
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
         left = np.bincount(near, ~gone)
