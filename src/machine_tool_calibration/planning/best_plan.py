@@ -13,8 +13,8 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.methods.build import build_model, error_map
+from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.design import Candidates, SharedErrors, effect_sizes, map_errors
@@ -33,7 +33,7 @@ _MARGIN = 0.85
 _SIZE = 0.02  # share of its largest plausible size to which an effect's size is to be known (k = 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlanQuality:
     """What a plan costs and determines."""
 
@@ -42,7 +42,7 @@ class PlanQuality:
     repeats: int  # of each setup
     seconds: float  # of moving and waiting, with mounting, s
     # (q,) standard uncertainty of each number, m, or of each effect's coefficient over its largest plausible size;
-    # infinite where it is not determined
+    # infinite where it is not determined; with what does not reproduce between setups, as far as it is foretold
     u: Array
     stations: Array  # (k, 3) where the instrument stands, m; none of methods that do not say
 
@@ -77,7 +77,9 @@ class BestPlan:
     text: str  # its procedure's file
     present: PlanQuality  # of the procedure as it stands
     best: PlanQuality  # of the plan
-    bound: float  # largest standard uncertainty that no plan of the offer falls below; 0 where the search was stopped
+    # largest standard uncertainty that no plan of the offer falls below, by the declared scatter alone; 0 where the
+    # search was stopped
+    bound: float
     points: Array  # (q, 3) places of the map's numbers, m; none for effects
     effects: tuple[str, ...]  # that are to be told; empty where the map is
     candidates: tuple[int, int]  # how many setups and targets could be chosen
@@ -124,7 +126,9 @@ def best_plan(
 ) -> BestPlan:
     """The best plan of what the text of a procedure's file (`source` in messages) offers.
 
-    It is to determine the sizes of the effects that are `told`, or the map's position errors if there are none. A
+    It is to determine the sizes of the effects that are `told`, or the map's position errors if there are none. The
+    search counts the declared scatter; of the best plans of each number of setups and repeats, and the procedure as it
+    stands, that is taken which the forecast, to which what does not reproduce between setups belongs, finds best. A
     KeyboardInterrupt of `progress` ends the search. A SessionError if the procedure cannot be run, or a candidate is
     none; a ModelError if an effect is not known or cannot be told, or nothing is determined by any plan.
     """
@@ -140,11 +144,13 @@ def best_plan(
     if not found.stopped:
         with suppress(KeyboardInterrupt):
             lowest = bound(offered, candidates, found, progress=later)
-    present, best = (_quality(offered, choice, candidates) for choice in (offered.present, found.choice))
+    present, allowed = offered.present, offered.duration(offered.present) <= offered.seconds
+    plans = {choice: _quality(offered, choice, candidates, assumed, told) for choice in (present, *found.finalists)}
+    best = min((*found.finalists, *([present] if allowed else [])), key=lambda choice: plans[choice].largest)
     count = (len(offered.setups), 0 if offered.targets == ("",) else len(offered.targets))
     return BestPlan(
-        offered.text(found.choice), present, best, lowest, points, tuple(told), count, found.tried, found.stopped,
-        complete,
+        offered.text(best), plans[present], plans[best], lowest, points, tuple(told), count, found.tried,
+        found.stopped, complete,
     )  # fmt: skip
 
 
@@ -175,15 +181,9 @@ def quickest_plan(
 
 def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
     """What every candidate tells of the map or of effects `told`, (q, 3) places, and whether a budget is in it."""
-    effects = find_effects(told, assumed.own)
-
-    def fitted(procedure: Procedure) -> JointFit:
-        session = planned_session(procedure, assumed.warming).session
-        return fit_models([_with_effects(expecting(build_model(session, assumed.model)[0], assumed.angular), effects)])
-
-    everything = every_setup = fitted(offered.procedure)
+    everything = every_setup = _foretold(offered.procedure, assumed, told)
     if offered.choices.targets:  # the map is wanted where it is now
-        every_setup = fitted(offered.procedure_of(offered.every_setup))
+        every_setup = _foretold(offered.procedure_of(offered.every_setup), assumed, told)
     known = effect_sizes(everything, told) if told else map_errors(every_setup)
     observed = everything.assembly.models[0].observations
     shared = assumed.errors(observed)
@@ -193,6 +193,26 @@ def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tup
         lost = [name for name, good in zip(names, candidates.told, strict=True) if not good]
         raise ModelError(f"no plan of these candidates tells {', '.join(lost)}: the model takes it up")
     return candidates, known.points if told else known.points[candidates.told], shared is not None
+
+
+def _foretold(procedure: Procedure, assumed: Assumed, told: Sequence[str]) -> JointFit:
+    """The fit of what a procedure will read, with effects."""
+    model = build_model(planned_session(procedure, assumed.warming).session, assumed.model)[0]
+    return fit_models([_with_effects(expecting(model, assumed.angular), find_effects(told, assumed.own))])
+
+
+def _widened(joint: JointFit, told: Sequence[str]) -> float:
+    """How many times as large U becomes as what does not reproduce between setups is looked for, too."""
+
+    def u(fitted: JointFit) -> Array:
+        if told:
+            own = [k for k, p in enumerate(fitted.assembly.parameters) if p.owner in told]
+            return np.sqrt(np.diag(fitted.published.covariance)[own])
+        return error_map(fitted.fits[0]).uncertainty
+
+    plain, whole = u(declared(joint)), u(joint)
+    good = np.isfinite(plain) & np.isfinite(whole) & (plain > 0)
+    return max(float(whole[good].max() / plain[good].max()), 1.0) if good.any() else 1.0
 
 
 def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
@@ -207,8 +227,15 @@ def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     return model.with_terms(terms)
 
 
-def _quality(offered: Offer, choice: Choice, candidates: Candidates) -> PlanQuality:
-    u = np.sqrt(candidates.variances(offered.weights(choice))[candidates.told])
+def _quality(
+    offered: Offer, choice: Choice, candidates: Candidates, assumed: Assumed, told: Sequence[str]
+) -> PlanQuality:
+    weights = offered.weights(choice)
+    variances = candidates.variances(weights)
+    with suppress(ModelError):  # too few readings
+        widened = _widened(_foretold(offered.procedure_of(choice), assumed, told), told)
+        variances = np.maximum(variances, widened**2 * candidates.by_scatter(weights))
+    u = np.sqrt(variances[candidates.told])
     entries: Sequence[Any] = offered.procedure.session.setups
     places = [getattr(entries[k], "position", None) for k in choice.setups]
     stations = np.array([place for place in places if place is not None]).reshape(-1, 3)

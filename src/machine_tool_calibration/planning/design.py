@@ -157,6 +157,10 @@ class Candidates:
         """(q,) variance of each number, each candidate measured (count,) times; infinite where it is not determined."""
         return self.judged(weights)[0]
 
+    def by_scatter(self, weights: Array) -> Array:
+        """The same from the declared scatter alone."""
+        return self._solved(weights, responses=False)[0]
+
     def judged(self, weights: Array) -> tuple[Array, float]:
         """(q,) variances, and the share of the readings, each counted once, that check others, as for `variances`."""
         variance, x_shared, x_local, redundancy = self._solved(weights, responses=bool(self._errors))

@@ -44,6 +44,10 @@ _WORTH = 0.85
 _BOUND_ROUNDS = 60
 _NODES = 500
 _STRIDE = 0.3  # share of the way to where the linear program's solution lies
+# So many of each number of setups and repeats are forecast, if their U by the declared scatter is at most so many times
+# that of the best: what does not reproduce widens each by 1.05 to 1.6.
+_FINALISTS = 8
+_NEAR = 1.25
 _CLOSE = 0.01  # the bound is good enough within this share of the best plan's variance
 # Functions whose variance is at least this share of the largest have tangents; those of the others hardly matter.
 _TANGENT_SHARE = 0.6
@@ -55,6 +59,7 @@ class Searched:
     """The best plan that was found."""
 
     choice: Choice  # of the offer
+    finalists: tuple[Choice, ...]  # the best of each number of setups and repeats, this one among them
     variances: Array  # (q,) of the numbers asked for
     tried: int  # how many plans were looked at
     stopped: bool  # whether the search was stopped before it came to its end
@@ -86,6 +91,23 @@ class _Judge:
         variances, redundancy = self.judged(choice)
         return _mean(variances, power) + (_UNCHECKED if redundancy < _CHECKED else 0.0)
 
+    def finalists(self, allowed: Callable[[Choice], bool]) -> tuple[Choice, ...]:
+        """The best checked plans of each number of setups and repeats that come near the best of all."""
+        found: dict[tuple[int, int], list[Choice]] = {}
+        near = np.inf
+        for choice in sorted(filter(allowed, self.known), key=self.largest):
+            if self.largest(choice) > min(near, _UNCHECKED):
+                break
+            of_its_kind = found.setdefault((len(choice.setups), choice.repeats), [])
+            if len(of_its_kind) < _FINALISTS and self.over(choice) <= 1.0 + _ROUNDED:
+                near = min(near, _NEAR * self.largest(choice))
+                of_its_kind.append(choice)
+        return tuple(choice for of_its_kind in found.values() for choice in of_its_kind)
+
+    def over(self, choice: Choice) -> float:
+        """Time of a plan over what is allowed."""
+        return self.offered.duration(choice) / self.offered.seconds
+
 
 def _mean(variances: Array, power: float) -> float:
     """Power mean of the standard uncertainties; what is not determined counts more than anything that is."""
@@ -113,7 +135,7 @@ def search(
     judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
     exact = offered.duration(offered.present)
     seconds = offered.seconds * offered.rough_duration(offered.present) / exact
-    stopped = False
+    first, stopped = _Exchange(offered, seconds), False
     while True:
         exchange = _Exchange(offered, seconds)
         best = found = exchange.thinned(offered.present)
@@ -131,9 +153,10 @@ def search(
         except KeyboardInterrupt:
             stopped = True
             best = min(filter(exchange.allowed, judge.known), key=judge.largest, default=best)
-        over = offered.duration(best) / offered.seconds
+        over = judge.over(best)
         if over <= 1.0 + _ROUNDED or stopped:
-            return Searched(best, judge.judged(best)[0], len(judge.known), stopped)
+            finalists = (() if stopped else judge.finalists(first.allowed)) or (best,)
+            return Searched(best, finalists, judge.judged(best)[0], len(judge.known), stopped)
         seconds /= over
 
 

@@ -110,7 +110,8 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
     change: str = ""
     if np.isfinite(before):
         less = 100.0 * (1.0 - after / before)
-        change = say(f"best_plan.{'smaller' if less >= 0.0 else 'larger'}", percent=f"{abs(less):.0f}")
+        kind = "as_good" if found.best is found.present else "smaller" if less >= 0.0 else "larger"
+        change = say(f"best_plan.{kind}", percent=f"{abs(less):.0f}")
     if found.bound > 0.0:
         least = _plan_u(found, found.bound)
         if not np.isfinite(before):
