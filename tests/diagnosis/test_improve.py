@@ -10,11 +10,14 @@ import pytest
 
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis import improve as improve_module
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, entry_of, improve
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
 from ..diagnosed import diagnosed
@@ -215,3 +218,27 @@ def test_a_share_in_the_readings_is_told_only_where_the_data_tell_it() -> None:
     assert change.signal is not None
     assert np.abs(change.signal).max() == pytest.approx(2e-6, rel=0.1)
     assert rms(change.signal) < 2e-6
+
+
+def test_a_reading_of_the_wrong_sign_keeps_no_model_from_being_improved() -> None:
+    """With it the stations are found nowhere, or errors of centimetres: the loop begins without it."""
+    effects = (FlawSpec(id="backlash_c", size=1.3e-5),)
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=5, effects=effects)).session
+    reading = session.readings.displacement.copy()
+    wrong = np.argsort(-np.abs(reading))[[0, 40]]
+    reading[wrong] *= -1.0
+    session = session.with_readings(replace(session.readings, displacement=reading))
+    with pytest.raises(ModelError):
+        identify(session, keep_all=True)
+
+    done = improve(session)
+    rows = tuple(sorted(session.readings.row[wrong].tolist()))
+    assert done.accepted == ("backlash_c",)
+    assert [step.label for step in done.steps] == ["2 readings set aside", "+ backlash_c"]
+    assert {step.set_aside for step in done.steps} == {(rows,)}
+    assert tuple(sorted(row.row for row in identify(session, effects=["backlash_c"]).rejected)) == rows
+
+    compared = compare(session)
+    assert isinstance(compared, Comparison)
+    assert compared.outliers == rows
+    assert not compared.counted and "left out of these figures" in in_words(compared)

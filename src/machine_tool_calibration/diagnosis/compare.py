@@ -7,7 +7,7 @@ This describes and draws; whether something is missing, and what, is for `diagno
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +82,7 @@ class Comparison:
     fit: Fit  # the fitted model
     effects: tuple[str, ...]  # ids of effects that are in it
     variant: str  # of the method's model
-    outliers: tuple[int, ...]  # rows of readings that do not belong to the rest, which the model still contains
+    outliers: tuple[int, ...]  # rows of readings that do not belong to the rest
     overall: Overall  # the whole fit
     noise: Noise  # declared, and from repeats
     residuals: pd.DataFrame  # the readings, as `residual_table` gives them
@@ -99,6 +99,7 @@ class Comparison:
     # straight lines over covariates, the most significant first; the slope that the model would find is larger than
     # that of the residuals, as its other unknowns took their part
     trends: pd.DataFrame
+    counted: bool = True  # whether the outliers are in all this; not where the model allows no fit with them
 
     labels = None
     """Of the sessions, of which this is the only one."""
@@ -203,19 +204,28 @@ def compare(subject: Session | FitRequest | Fit | Result | JointResult) -> Compa
     """Hold a model against its readings; that of several sessions of one machine against the readings of each.
 
     To measurements the model is fitted; one session's share in a fit of several is held against that session's
-    readings. A ModelError: the data does not allow the model.
+    readings. Gross errors are among them, unless they allow no fit. A ModelError: the data does not allow the model.
     """
     if isinstance(subject, Fit):
         return _compared(subject, (), (), "")
+    counted = True
     if isinstance(subject, Session | FitRequest):
         chosen = FitRequest.of(subject)
-        fitted = fit_sessions(chosen)
-        aside = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in gross_errors(chosen)]
+        found = gross_errors(chosen)
+        aside = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in found]
+        try:
+            fitted = fit_sessions(chosen)
+        except ModelError:
+            if not any(aside):
+                raise
+            fitted, counted = fit_sessions(replace(chosen, sessions=tuple(own.session for own in found))), False
     else:
         fitted = fitted_sessions(subject)
         aside = [() for _ in fitted.model_names]
     triples = zip(fitted.joint.fits, aside, fitted.model_names, strict=True)
-    each = tuple(_compared(fit, fitted.effects, rows, variant) for fit, rows, variant in triples)
+    each = tuple(
+        replace(_compared(fit, fitted.effects, rows, variant), counted=counted) for fit, rows, variant in triples
+    )
     labels = fitted.joint.assembly.labels
     return each[0] if labels is None else JointComparison(fitted.joint, labels, each)
 

@@ -178,7 +178,7 @@ def _without_gross_errors(
 ) -> tuple[FitRequest, tuple[tuple[Outlier, ...], ...]]:
     """What is chosen without the gross errors beside these effects, and these errors, session by session."""
     build = _alone(chosen, added)
-    aside = tuple(tuple(find_outliers(session, build)) for session in chosen.sessions)
+    aside = tuple(tuple(find_outliers(one, build, lambda part: chosen.base(part)[0])) for one in chosen.sessions)
     return replace(chosen, sessions=tuple(map(without, chosen.sessions, aside))), aside
 
 

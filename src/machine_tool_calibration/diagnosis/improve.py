@@ -16,7 +16,7 @@ import numpy as np
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Coefficient, Entry, Part
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result, fit_quality, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
@@ -154,7 +154,7 @@ def improve(
     the model.
     """
     chosen = replace(FitRequest.of(subject), keep_all=True)
-    steps = [Step(None, "", chosen, identify_sessions(chosen), tuple(() for _ in chosen.sessions))]
+    steps = [_first(chosen)]
     looks = list[Diagnosis]()
     while not looks or (len(looks) < _LOOKS and leaves_something(looks[-1])):
         # Half of what is left of the way, nine tenths of it for the search.
@@ -169,6 +169,20 @@ def improve(
         chosen = chosen.adding(found.accepted)
     progress("done", 1.0)
     return Improvement(looks[0], tuple(looks[1:]), tuple(steps))
+
+
+def _first(chosen: FitRequest) -> Step:
+    """The model with all readings; without gross errors where these allow none."""
+    try:
+        return Step(None, "", chosen, identify_sessions(chosen), tuple(() for _ in chosen.sessions))
+    except ModelError:
+        found = gross_errors(chosen)
+        if not any(own.outliers for own in found):
+            raise
+    chosen = replace(chosen, sessions=tuple(own.session for own in found))
+    aside = tuple(tuple(sorted(outlier.row for outlier in own.outliers)) for own in found)
+    change = say("step.set_aside", n=sum(map(len, aside)))
+    return Step(None, change, chosen, identify_sessions(chosen), aside)
 
 
 def leaves_something(found: Diagnosis) -> bool:

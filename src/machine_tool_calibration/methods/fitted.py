@@ -195,12 +195,17 @@ def gross_errors(chosen: FitRequest) -> list[WithoutGrossErrors]:
 
 
 def _without_gross_errors(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
-    built = chosen.finished(chosen.base(session))
-    outliers = find_outliers(
-        session, lambda part: built[0] if part is session else chosen.finished(chosen.base(part))[0]
-    )
+    made: list[Built] = []
+
+    def build(part: Session) -> MethodModel:
+        built = chosen.finished(chosen.base(part))
+        made.extend([built] if part is session else [])
+        return built[0]
+
+    outliers = find_outliers(session, build, lambda part: chosen.base(part)[0])
     # Where nothing was set aside the model is that in which it was looked for.
-    return WithoutGrossErrors(outliers, without(session, outliers, as_lost=True), None if outliers else built)
+    left = without(session, outliers, as_lost=True)
+    return WithoutGrossErrors(outliers, left, made[0] if made and not outliers else None)
 
 
 # Position error that no machine tool has, m, and by how many of its uncertainties it must be known.

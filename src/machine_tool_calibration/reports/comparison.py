@@ -40,7 +40,8 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     bad = only_if_right(overall.p_value, _map_of(one) if one else None)
     said: list[str] = [fitting]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
-    said += [say("compared.counted", text=stand_out(count))] if count else []
+    counted = comparison.sessions[0].counted
+    said += [say(f"compared.{'counted' if counted else 'left_out'}", text=stand_out(count))] if count else []
     said += [_repeats(overall, one.noise, not bad or bool(count))] if one else []
     said += [say("compared.ask_diagnosis" if one else "compared.ask_result")] if bad else []
     return together(said)

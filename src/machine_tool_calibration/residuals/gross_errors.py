@@ -72,7 +72,9 @@ class Outlier:
 
 
 @single_blas()
-def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
+def find_outliers(
+    session: Session, build: Callable[[Session], MethodModel], plain: Callable[[Session], MethodModel] | None = None
+) -> list[Outlier]:
     """The readings with gross errors, the largest first.
 
     A model that draws more from the readings than unknowns is made anew without what was set aside.
@@ -80,19 +82,24 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     Args:
         session: the measurement; what it says to be sound is never among them.
         build: makes the model of a session.
+        plain: makes one with less in it, which tells the largest where the model allows no fit with all readings.
 
     Returns:
         None where the data does not allow the model, which its own fit will say.
     """
     found: list[Outlier] = []
+    largest: list[Outlier] = []
     for _ in range(ROUNDS):
         try:
             more = _Search.of(without(session, found, as_lost=True), build).outliers()
         except (ModelError, np.linalg.LinAlgError):
             # Too little for the model, which its own fit will say; or what was set aside leaves too little.
-            return []
+            if plain is None or found:
+                return largest
+            found = largest = find_outliers(session, plain)
+            continue
         more = [o for o in more if o.row not in session.sound]
-        found += more
+        found = [*found, *more]
         if not more:
             break
     if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
