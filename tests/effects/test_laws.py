@@ -272,6 +272,8 @@ def test_a_reversal_that_goes_in_waves_needs_places_approached_from_both_sides()
     x = session.readings.columns["x"]
     outwards = {**session.readings.columns, "dir_x": np.where(x >= np.median(x), 1.0, -1.0)}
     assert "reversal_periodic_x" in possible(session)
+    one_way = {**session.readings.columns, "dir_x": np.ones(len(x))}
+    assert "reversal_periodic_x" not in possible(session.with_readings(replace(session.readings, columns=one_way)))
     assert "reversal_periodic_x" not in possible(
         session.with_readings(replace(session.readings, columns={**outwards, "x": x + 1e-3 * outwards["dir_x"]}))
     )

@@ -17,11 +17,14 @@ from machine_tool_calibration.methods import map_comparison
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.methods.map_comparison import compare_fits, compare_maps
+from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
+from machine_tool_calibration.trends.check import check
+from machine_tool_calibration.trends.statement import of_fit, of_result
 
 from .. import plates
 from ..again import measured_again
@@ -168,6 +171,43 @@ def test_a_shift_of_deviations_that_are_absolute_is_a_difference() -> None:
     assert moved.first[:, 0] == pytest.approx(0.0, abs=3e-6)
     zeroed = compare_fits(fitted(0.0, "offset"), fitted(2e-5, "offset"), draws=100)
     assert zeroed.agree and zeroed.motion
+
+
+def _expanding(seed: int) -> Session:
+    """An axis read twelve times while it warms up by 3 K, each time in other states than any other measurement."""
+    rng = np.random.default_rng(seed)
+    x, repeat = np.tile(np.linspace(0.0, 0.5, 11), 12), np.arange(132) // 11
+    warmer = 3.0 * (1.0 - np.exp(-np.arange(132) / 40.0)) + 0.2 * seed
+    columns = {
+        "x": x,
+        "gx": np.ones(132),
+        "gy": 0 * x,
+        "gz": 0 * x,
+        "time": 60.0 * np.arange(132),
+        "temperature_x": 20.0 + warmer,
+        "displacement": 3e-6 * np.sin(9.0 * x) + 1.1e-5 * warmer * x + 3e-7 * rng.normal(size=132),
+    }
+    return plates.session(columns, 3e-7, "none", ["EXX"], repeat)
+
+
+def test_states_of_temperature_are_told_apart_and_are_no_difference_of_the_machine() -> None:
+    results = [identify(_expanding(seed), effects=["thermal_expansion_x"]) for seed in (1, 2)]
+    places = tables.error_map(results[0])
+    assert len(places) > 100 and len({*places["row"]}) == len(places)
+    warm = places.loc[places["x"] == 0.5]
+    warmer = _expanding(1).readings.columns["temperature_x"][warm["row"]]
+    assert np.ptp(warm["ex"]) == pytest.approx(1.1e-5 * 0.5 * np.ptp(warmer), rel=0.1)
+
+    first, second = map(fitted_sessions, results)
+    found = compare_fits(first, second, draws=100)
+    assert found.agree and len(found.points) == 11 and found.alone == (0, 0)
+    assert found.first[:, 0] == pytest.approx(3e-6 * np.sin(9.0 * found.points[:, 0]), abs=2e-6)
+    held = check(of_fit(first, "first", draws=100), of_fit(second, "second", draws=100))
+    assert not held.moved and held.places == (11, 11)
+    # A document does not tell its states apart: its error motions are compared, its position errors are not.
+    told = check(of_result(results[0].document(), "first"), of_fit(second, "second", draws=100))
+    assert not told.moved and "EXX" in {one.name for one in told.changes}
+    assert "position_error" not in {one.name for one in told.changes}
 
 
 def test_maps_without_a_common_point_are_one_line() -> None:

@@ -9,9 +9,11 @@ from ..told import keys
 def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes() -> None:
     points = [[0.001 * k, 0.0, 0.0] for k in range(300)]
     content = {"points": points, "tables": {"EZX": {"nodes": points[::15], "value_u": 20 * [1e-6]}}, "scatter": None}
-    document = {"method": "direct", "model": "rigid_body", "p_value": 1e-12, "error_map": content}
+    document = {"method": "direct", "model": "rigid_body", "used": 600, "p_value": 1e-12, "error_map": content}
     (text,) = free_words(document)
     assert keys(text) == ["fit.free_nodes"] and "20 nodes" in text and "300 places" in text
+    # A single reading for each place leaves nothing to tell by.
+    assert not list(free_words({**document, "used": 300}))
     # Each place that was approached from either side stands twice in a map.
     every = {**content, "points": points[:20] * 2}
     assert not list(free_words({**document, "error_map": every}))

@@ -76,6 +76,12 @@ class Effect(ABC):
         """
         return self.setup_level or self.kind == "reading" or "time" in (*self.needs, *self.covariates)
 
+    @property
+    def of_state(self) -> bool:
+        """Whether it depends on more than place and direction of approach: on time, or on what a sensor says."""
+        columns = {*self.needs, *self.covariates}.difference("xyzabc")
+        return any(not name.startswith("dir_") for name in columns)
+
     def why_not(self, observations: Observations) -> str | None:
         """Why the effect cannot be looked for in these readings; None if it can."""
         for axis in self.chain:
@@ -160,14 +166,14 @@ def stands_still(observations: Observations, axis: str) -> bool:
 
 
 def is_one_sided(observations: Observations, axis: str) -> bool:
-    """Whether hardly a position of an axis that moved both ways lies where it moved the other way, too.
+    """Whether hardly a position of an axis lies where it moved the other way, too.
 
     Then what one direction changes is what one part of the travel has of its own, and no reversal.
     """
     position, sense = observations.readings.column(axis), observations.readings.column(f"dir_{axis}")
     up, down = position[sense > 0], position[sense < 0]
     if not len(up) or not len(down):
-        return False
+        return True
     low, high = max(up.min(), down.min()) - SAME_POSITION, min(up.max(), down.max()) + SAME_POSITION
     shared = min(int(np.sum((own >= low) & (own <= high))) for own in (up, down))
     return shared < min(_BOTH_WAYS, len(up), len(down))

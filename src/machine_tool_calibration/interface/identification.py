@@ -105,7 +105,8 @@ class Fit(Answer):
         Columns: `x y z` the place, m; `ex ey ez` the error, m; `ux uy uz` its standard uncertainty, m (an expanded
         uncertainty U, k = 2, is twice that); `determined_x determined_y determined_z`: where False, error and
         uncertainty are NaN. Step diagonals have `axis` besides, rotary axes `target` and the angle (`c`, rad). A place
-        is there more than once, with the direction of `approach` (`x+ y-`), where its error depends on that.
+        is there more than once, with the direction of `approach` (`x+ y-`), where its error depends on that, and with
+        the `row` of the first reading in each state of time, temperature and the like, where it depends on those.
         """
         return tables.error_map(self.result)
 

@@ -137,11 +137,34 @@ class FittedSessions:
         """The machine's errors from all readings."""
         return self.map_of(self.joint)
 
+    @cached_property
+    def at_reference(self) -> FittedSessions:
+        """The same without what an effect adds to the map by time, temperature and the like, each at its zero.
+
+        Deviations that are read directly are mapped in each state in which they were read, and no other measurement
+        meets the same ones.
+        """
+        assembly = self.joint.assembly
+        gone = {name for name in self.effects if _of_state(name)}
+        models = tuple(
+            replace(model, terms=tuple(replace(t, field=None) if t.name in gone else t for t in model.terms))
+            for model in assembly.models
+        )
+        return replace(self, joint=replace(self.joint, assembly=replace(assembly, models=models))) if gone else self
+
     def map_of(self, joint: JointFit) -> ErrorMap:
         """The machine's errors by another fit of the same models, such as those of `changed`."""
         if self.common is None:
             return error_map(joint.fits[0])
         return joint_map(joint, self.common, published_angles(joint, self.common.angles))
+
+
+def _of_state(name: str) -> bool:
+    try:
+        (effect,) = find_effects([name])
+    except ModelError:
+        return True  # one of the user's own, of which the columns are not known here
+    return effect.of_state
 
 
 def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = ()) -> FittedSessions:

@@ -205,6 +205,8 @@ def positioning_runs(
         figures = positioning(position, direction, deviation)
         runs = {way: _runs(figures.position, position, deviation, direction * sign > 0)
                 for way, sign in (("up", 1.0), ("down", -1.0))}  # fmt: skip
+        if not any(map(len, runs.values())):
+            continue  # read at random, in no runs
         uncertainties = positioning_uncertainty(figures, runs["up"], runs["down"]) if uncertain else {}
         expanded = {f"{key}_U": value for key, value in uncertainties.items()}
         signs = "".join("N0P"[int(np.sign(part)) + 1] for part in line)

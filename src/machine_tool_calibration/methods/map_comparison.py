@@ -212,12 +212,14 @@ def compare_fits(
 ) -> MapComparison:
     """Compare the maps of two independent measurements of one machine at the points that both have.
 
-    The uncertainties are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
+    Effects of time, temperature and the like are left out of both (`FittedSessions.at_reference`). The uncertainties
+    are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
     ModelError says that no point, or no direction at any, is in both maps.
     """
     sessions = ([fit.model.observations.session for fit in fitted.joint.fits] for fitted in (first, second))
     for both in itertools.product(*sessions):
         refuse_repeated(both, labels)
+    first, second = first.at_reference, second.at_reference
     maps = first.error_map, second.error_map
     one, two = (states(own.points, own.content) for own in maps)
     pairs = common_points(one, two)

@@ -76,7 +76,7 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
     """That the readings speak against rigid axes, where the method has a model that takes none for granted.
 
     Along a single axis both models are one, unless it was read at more places than its tables have nodes. Of the
-    document `method`, `model`, `p_value` and `error_map` are asked; several sessions have no `model`.
+    document `method`, `model`, `used`, `p_value` and `error_map` are asked; several sessions have no `model`.
     """
     content = document["error_map"] or {}
     if document.get("model") != "rigid_body" or "free" not in method_spec(document["method"]).models:
@@ -92,7 +92,7 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
             yield say("fit.free")
         return
     nodes = min((len(table["nodes"]) for table in tables if "nodes" in table), default=places)
-    if nodes < places:
+    if nodes < places < document["used"]:
         yield say("fit.free_nodes", nodes=nodes, places=places)
 
 

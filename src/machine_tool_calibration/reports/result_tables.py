@@ -56,11 +56,15 @@ def _places(result: Result) -> dict[str, Any]:
         targets = content["target_ids"]
         return {"target": targets * len(content[axis]), axis: np.repeat(content[axis], len(targets))}
     points, approach = result.error_map.points, content.get("approach")
-    if approach is not None and len(np.unique(points, axis=0)) < len(points):
-        differ = np.flatnonzero(np.ptp(approach, axis=0))
-        said = [" ".join(f"{'xyz'[j]}{'-0+'[int(row[j]) + 1]}" for j in differ) for row in approach]
-        return {"approach": said}
-    return {}
+    if approach is None or len(np.unique(points, axis=0)) == len(points):
+        return {}
+    differ = np.flatnonzero(np.ptp(approach, axis=0))
+    said = [" ".join(f"{'xyz'[j]}{'-0+'[int(row[j]) + 1]}" for j in differ) for row in approach]
+    found: dict[str, Any] = {"approach": said} if len(differ) else {}
+    if len(np.unique(np.hstack([points, approach]), axis=0)) < len(points):
+        # in several states of time, temperature and the like, which stand where the reading does
+        found["row"] = content["row"]
+    return found
 
 
 def error_motions(result: Result | JointResult) -> pd.DataFrame:
@@ -200,7 +204,7 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
         `unit`; `determined`: where False, they are NaN.
     """
     places = error_map(result)
-    own = [name for name in map(str, places) if name in ("axis", "target", "approach", "a", "b", "c")]
+    own = [name for name in map(str, places) if name in ("axis", "target", "approach", "row", "a", "b", "c")]
     frames = [error_motions(result).rename(columns={"motion": "error"})]
     for axis in "xyz":
         known = {"value": places[f"e{axis}"], "u": places[f"u{axis}"], "determined": places[f"determined_{axis}"]}

@@ -162,7 +162,7 @@ def value_tables(result: Result | JointResult, most: int | None = None) -> Itera
         yield _over_axis(str(axis), own, most)
     places = error_map(result)
     determined = [axis for axis in "xyz" if places[f"determined_{axis}"].any()]
-    if determined and (curves.empty or "approach" in places):
+    if determined and (curves.empty or {"approach", "row"} & {*places}):
         yield _map(places, determined, most)
     part = workpiece(result).reset_index()
     if len(part):
@@ -195,7 +195,7 @@ def _over_axis(axis: str, table: pd.DataFrame, most: int | None) -> TextTable:
 
 def _map(table: pd.DataFrame, seen: Sequence[str], most: int | None) -> TextTable:
     """Position errors along the axes seen, one place a row, with the direction of approach where they depend on it."""
-    own = [name for name in ("axis", "target", "approach") if name in table]
+    own = [name for name in ("axis", "target", "approach", "row") if name in table]
     rows = [
         (
             *(_mm(row[axis]) for axis in "xyz"),

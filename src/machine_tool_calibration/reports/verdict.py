@@ -344,8 +344,9 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     if words := scatter_words(whole.error_map.content, whole.joint.p_value):
         yield words
         method, content = diagnosis.chosen.sessions[0].method, whole.error_map.content
-        told = {"method": method, "model": whole.model_name, "p_value": whole.joint.p_value, "error_map": content}
-        yield from free_words(told)
+        used, p_value = whole.joint.assembly.problem.n_readings, whole.joint.p_value
+        known = {"method": method, "model": whole.model_name, "used": used, "p_value": p_value, "error_map": content}
+        yield from free_words(known)
     elif fit_quality(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
         yield say("diagnosis.no_noise", ratio=rounded(ratio))
     # Where both directions are a reversal apart, that is no difference of places.

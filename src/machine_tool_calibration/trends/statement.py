@@ -114,6 +114,7 @@ def of_fit(
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Statement:
     """What an identified session states, its correlations carried by draws: each u is told to 1 / sqrt(2 draws)."""
+    fitted = fitted.at_reference
     published, origin = everything(fitted), fitted.provenance
     samples = np.zeros((draws, len(numbers(fitted, fitted.joint).value)))
     # Each measurement has draws of its own: with the same ones two of them would seem to err together.
@@ -164,6 +165,9 @@ def _read(document: Mapping[str, Any], label: str) -> Statement:
         points = np.pad(found, ((0, 0), (0, 3 - found.shape[1])))
         if 3 * len(points) != published.by_name[POSITION_ERROR].count:
             raise ValueError("the map has as many errors as points")
+    where = states(points, content)
+    if len(np.unique(where, axis=0)) < len(where):
+        where = where[:0]  # in states of time or temperature that the document does not tell apart
     return Statement(
         label=label,
         date=origin["sessions"][0]["measured"],
@@ -172,7 +176,7 @@ def _read(document: Mapping[str, Any], label: str) -> Statement:
         effects=tuple(document["effects"]),
         sha256=origin["sha256"],
         numbers=published,
-        points=states(points, content),
+        points=where,
         parts=_parts(published, content, document["effects"]),
         absolute=is_absolute(content),
     )

@@ -346,6 +346,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "points": points,
         "position_error": error,
         "position_error_u": uncertainty,
+        "row": observations.readings.row[first],
         "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
         **(
             {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
