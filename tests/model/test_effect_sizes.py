@@ -71,6 +71,17 @@ def test_the_mean_is_that_over_all_plausible_sizes_by_integration(value: float) 
     assert after[0, 0] == pytest.approx(spread, rel=1e-6)
 
 
+@pytest.mark.parametrize("travel", [1e-3, 0.05, 0.3])
+def test_the_size_of_an_expansion_does_not_depend_on_the_travel(travel: float) -> None:
+    """Where its fixed point is near, as on a stage of a millimetre, that says nothing of how large it is."""
+    fixed = Parameter("growth.q", "m/K", -5e-5, 5e-5, kind=Kind.EFFECT, owner="growth")
+    k, u = 0.05 * LIMIT, 0.02 * LIMIT
+    value, covariance = np.array([k, 0.1 * k * travel]), np.diag([u, u * travel]) ** 2
+    mean, after = with_sizes(value, covariance, effect_sizes([GROWTH, fixed], np.ones(2, dtype=bool)))
+    assert mean[0] == pytest.approx(k, rel=0.1)
+    assert np.sqrt(after[0, 0]) == pytest.approx(u, rel=0.1)
+
+
 def test_a_nonlinear_coefficient_is_no_further_from_its_best_value_than_that_is_large() -> None:
     tau = Parameter("warmup.tau", "s", 10.0, 1e5, reference=600.0, kind=Kind.EFFECT, owner="warmup")
     (size,) = effect_sizes([tau], np.array([True]))

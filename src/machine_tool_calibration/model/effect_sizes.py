@@ -5,9 +5,12 @@ A fit by least squares lets an effect be of any size. Where the readings hardly 
 unknowns (the fixed point of an expansion, where the temperature hardly changed), it comes out larger than on any
 machine, and takes the map of errors with it. The limits of its coefficients say what is plausible: before the readings
 each is normal about zero, with half its limit as standard deviation or with less by steps. Which, the readings say:
-published is the mean over these (GUM, type B beside type A).
+published is the mean over these (GUM, type B beside type A). Coefficients of one unit are large or small together; of
+those of different units (an expansion, and that of the structure up to the scale's fixed point) one says nothing of the
+other.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,9 +31,9 @@ class EffectSize:
 
     place: IntArray  # (k,) of the unknowns in the shared vector
     unit: Array  # (k,) standard deviation of each at the largest scale; infinite where nothing is known
-    # (k,) whether the scales apply to it: not to a nonlinear coefficient, which counts from its best value and is no
-    # further from there than its own size
-    scaled: BoolArray
+    # (k,) which of them have a scale in common, from 0; below it a nonlinear coefficient, which counts from its best
+    # value and is no further from there than its own size
+    alike: IntArray
 
 
 def effect_sizes(parameters: Sequence[Parameter], determined: BoolArray) -> list[EffectSize]:
@@ -45,10 +48,11 @@ def effect_sizes(parameters: Sequence[Parameter], determined: BoolArray) -> list
     out = []
     for place in by.values():
         own = [parameters[k] for k in place]
-        scaled = np.array([p.reference == 0.0 for p in own])
+        units = sorted({p.unit for p in own})
+        alike = np.array([units.index(p.unit) if p.reference == 0.0 else -1 for p in own])
         unit = np.array([_limit(p) / 2.0 if p.reference == 0.0 else abs(p.reference) for p in own])
         if np.all(determined[place]) and np.isfinite(unit).any():
-            out.append(EffectSize(np.array(place, dtype=np.int64), unit, scaled))
+            out.append(EffectSize(np.array(place, dtype=np.int64), unit, alike))
     return out
 
 
@@ -65,16 +69,15 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
     """
     for size in sizes:
         known = np.isfinite(size.unit)
-        place, unit, scaled = size.place[known], size.unit[known], size.scaled[known]
+        place, unit, alike = size.place[known], size.unit[known], size.alike[known]
         inner = covariance[np.ix_(place, place)] / np.outer(unit, unit)
         value = mean[place] / unit
-        signal = np.sqrt(1.0 / max(float(np.linalg.eigvalsh(inner)[0]), 1e-300))
-        usual = _scales(float(signal), int(scaled.sum()))
-        scales = np.append(usual, priors.RARE_SIZE)
+        usual = _scales_of_each(inner, alike)
+        scales = np.concatenate([usual, np.where(alike < 0, 1.0, priors.RARE_SIZE)[None]])
         share = np.append(np.full(len(usual), (1.0 - priors.RARE) / len(usual)), priors.RARE)
         logs, gains = [], []
         for scale, probability in zip(scales, share, strict=True):
-            total = inner + np.diag(np.where(scaled, scale, 1.0) ** 2)
+            total = inner + np.diag(scale**2)
             fit = np.linalg.slogdet(total)[1] + value @ np.linalg.solve(total, value)
             logs.append(np.log(probability) - 0.5 * fit)
             gains.append(np.linalg.inv(total))
@@ -87,6 +90,18 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
         mean = mean - cross @ middle
         covariance = covariance - cross @ (gain - between) @ cross.T
     return mean, covariance
+
+
+def _scales_of_each(covariance: Array, alike: IntArray) -> Array:
+    """(s, k) scales of an effect's coefficients, those of one unit alike, in all combinations."""
+    groups = [np.flatnonzero(alike == group) for group in np.unique(alike[alike >= 0])]
+    most = [1.0 / max(float(np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])[0]), 1e-300) for mine in groups]
+    each = (_scales(float(np.sqrt(signal)), len(mine)) for mine, signal in zip(groups, most, strict=True))
+    every = np.array(list(itertools.product(*each)))
+    out = np.ones((len(every), len(alike)))
+    for mine, scale in zip(groups, every.T, strict=True):
+        out[:, mine] = scale[:, None]
+    return out
 
 
 def _scales(signal: float, coefficients: int) -> Array:

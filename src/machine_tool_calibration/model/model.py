@@ -210,7 +210,7 @@ class MethodModel(ABC):
         return self
 
     def drawn_as(self, other: Self) -> Self:
-        """The same model with what another one of the same unknowns draws from its readings."""
+        """The same model with what another one of the same machine draws from its readings."""
         return self
 
     @property

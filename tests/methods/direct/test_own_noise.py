@@ -179,3 +179,15 @@ def test_what_is_said_of_the_declared_uncertainty_is_against_what_was_declared()
     assert joint.reduced_chi_square == pytest.approx(50.5, rel=0.3)
     assert joint.p_value < 1e-6 and joint.variance == pytest.approx(1.0, abs=0.3)
     assert compare(measured).overall.reduced_chi_square == joint.reduced_chi_square
+
+
+def test_a_part_of_the_readings_counts_as_it_does_among_all() -> None:
+    """What a part says of its noise by itself would be taken for evidence for or against an effect."""
+    session, _ = read((1e-6, 5e-6))
+    part = session.without(session.readings.columns["x"] < 0.25)
+    whole, own = build_model(session)[0], build_model(part)[0]
+    assert not np.allclose(own.sigma, whole.sigma[-len(own.sigma) :])
+    mine = np.isin(session.readings.row, part.readings.row)
+    np.testing.assert_array_equal(own.drawn_as(whole).sigma, whole.sigma[mine])
+    plain = build_model(read((1e-6, 1e-6))[0])[0]
+    np.testing.assert_array_equal(whole.drawn_as(plain).sigma, plain.sigma)

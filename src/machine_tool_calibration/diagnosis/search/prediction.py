@@ -20,7 +20,7 @@ from machine_tool_calibration.diagnosis.search.evidence import Block, batches, c
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
-from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
@@ -92,7 +92,7 @@ def predictions(
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
-                gains.append(whole - _log_factors(Pool(fit_of(left)), every, shaped, search))
+                gains.append(whole - _log_factors(Pool(_drawn_as(fit_of(left), every.fit)), every, shaped, search))
             except (CalibrationError, np.linalg.LinAlgError):
                 needed += 1
                 continue
@@ -102,6 +102,15 @@ def predictions(
         for name, own in zip(names, np.array(gains).T, strict=True):
             out[name].append(Prediction(what, tuple(own.tolist()), readings, needed))
     return {name: tuple(own) for name, own in out.items() if own}
+
+
+def _drawn_as(part: JointFit, whole: JointFit) -> JointFit:
+    """The fit of a part of the readings, with what the models draw from all of them."""
+    mine = part.assembly.models
+    models = [model.drawn_as(every) for model, every in zip(mine, whole.assembly.models, strict=True)]
+    if all(model is own for model, own in zip(models, mine, strict=True)):
+        return part
+    return fit_models(models, part.assembly.labels, part.random)
 
 
 def _log_factors(pool: Pool, every: Pool, shaped: Sequence[ShapedColumns], search: EffectSearch) -> np.ndarray:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy import special
@@ -177,6 +177,13 @@ class DirectModel(MethodModel):
         """(n,) standard uncertainty by which each reading counts, m: with noise of its own direction and setup."""
         least = super().sigma
         return least if self.noise is None else np.maximum(least, self.declared_sigma * self.noise.factor)
+
+    def drawn_as(self, other: Self) -> Self:
+        """With the noise of its own that each reading has in a model of these readings and further ones."""
+        if other.noise is None:
+            return self if self.noise is None else replace(self, noise=None)
+        mine = np.isin(other.observations.readings.row, self.observations.readings.row)
+        return replace(self, noise=replace(other.noise, factor=other.noise.factor[mine]))
 
     @property
     def own(self) -> tuple[Parameter, ...]:
