@@ -87,12 +87,28 @@ def test_the_verdict_by_what_is_unknown_and_what_effects_explain(
 ) -> None:
     """Probabilities that something unknown is missing, and nothing; sums of squares without and with the effect."""
     monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose._good_enough", lambda found: good_enough)
-    search = SimpleNamespace(unknown=probabilities[0], nothing=probabilities[1])
     fits = [SimpleNamespace(solution=SimpleNamespace(chi_square=size)) for size in chi_squares]
     left = (SimpleNamespace(share=0.9),)
     named = ("backlash_y",) * accepted
-    found = SimpleNamespace(contradicted=False, search=search, fits=fits, accepted=named, gross_errors=(), left=left)
+    found = SimpleNamespace(
+        contradicted=False,
+        unknown=probabilities[0],
+        nothing=probabilities[1],
+        fits=fits,
+        accepted=named,
+        gross_errors=(),
+        left=left,
+    )
     assert _verdict(cast(Diagnosis, found)) == verdict
+
+
+@pytest.mark.parametrize("left", [0, 1])
+def test_a_structure_that_chance_has_as_well_is_none(left: int) -> None:
+    """By its p-value, however probable it is beside the others."""
+    search = SimpleNamespace(unknown=0.9, nothing=0.06)
+    found = SimpleNamespace(search=search, left=left * (SimpleNamespace(share=0.5),), unknown=0.9 * left)
+    assert Diagnosis.unknown.fget(found) == 0.9 * left  # type: ignore[attr-defined]
+    assert Diagnosis.nothing.fget(found) == pytest.approx(0.06 if left else 0.96)  # type: ignore[attr-defined]
 
 
 def test_what_identify_refuses_is_not_called_adequate() -> None:

@@ -4,13 +4,14 @@ Diagnosis of places that were read once each: axes one at a time, and a machine 
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.search.effect_search import led_by_places
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.thermal_lag import followed
@@ -83,7 +84,7 @@ def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(
 
 
 @pytest.mark.long
-def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None:
+def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     """Holes that were read once each and scatter by far more than was declared."""
     found = diagnose(plates.plate(2, holes=150, declared=2e-7, tails=None)[0])
     assert (found.verdict, found.noise.from_repeats) == ("adequate", None)
@@ -92,7 +93,9 @@ def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None
     assert keys(next_step(found, Advice())) == ["next.repeats"]
     # Structure that is sure and too small to matter is no scatter.
     small = replace(found, search=replace(found.search, unknown=0.97, nothing=0.01))
-    told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
+    with monkeypatch.context() as patched:
+        patched.setattr(Diagnosis, "left", (SimpleNamespace(share=0.2),))
+        told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
     assert told[:3] == ["diagnosis.no_effect", "diagnosis.residual", "diagnosis.small_in_map"]
     repeated = diagnose(plates.plate(2, holes=150, repeats=3, declared=2e-7, tails=None)[0])
     assert keys(next_step(repeated, Advice())) == ["next.places"]

@@ -93,16 +93,17 @@ def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
 
 
 @pytest.mark.parametrize(
-    ("variance", "left", "noisy", "contradicted"),
+    ("variance", "left", "noisy", "nothing", "contradicted"),
     [
-        (9.0, 520.0, False, True),  # of 800 beyond what noise leaves, 380 are explained
-        (9.0, 480.0, False, False),  # more than half
-        (1.9, 190.0, False, False),  # hardly more than declared
-        (9.0, 900.0, True, False),  # repeats scatter as much
+        (9.0, 520.0, False, 0.1, True),  # of 800 beyond what noise leaves, 380 are explained
+        (9.0, 480.0, False, 0.1, False),  # more than half
+        (1.9, 190.0, False, 0.1, False),  # hardly more than declared
+        (9.0, 900.0, True, 0.1, False),  # repeats scatter as much
+        (9.0, 900.0, False, 0.9, False),  # nothing was repeated, and nothing has a pattern
     ],
 )
 def test_what_explains_half_of_the_excess_is_no_contradiction(
-    variance: float, left: float, noisy: bool, contradicted: bool
+    variance: float, left: float, noisy: bool, nothing: float, contradicted: bool
 ) -> None:
     """A hundred degrees of freedom: sums of squares without and with what was found."""
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session
@@ -111,6 +112,8 @@ def test_what_explains_half_of_the_excess_is_no_contradiction(
         fits=[SimpleNamespace(solution=one) for one in solutions],
         chosen=SimpleNamespace(sessions=[session]),
         search=SimpleNamespace(variance=variance, memory=1.0),
+        nothing=nothing,
+        noise=SimpleNamespace(from_repeats=None),
         noisy=noisy,
     )
     assert Diagnosis.contradicted.fget(found) is contradicted  # type: ignore[attr-defined]

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -284,9 +285,10 @@ def test_where_nothing_is_named_it_is_told_what_the_likely_one_that_explains_mos
 
 
 @pytest.mark.parametrize("verdict", ["adequate", "outliers"])
-def test_structure_that_is_too_small_to_matter_is_said_to_be(verdict: str) -> None:
+def test_structure_that_is_too_small_to_matter_is_said_to_be(monkeypatch: pytest.MonkeyPatch, verdict: str) -> None:
     sound, _ = report("adequate")
+    assert not any("diagnosis.structure_unsure" in keys(words) for words in verdict_words(sound, {}, Advice()))
+    monkeypatch.setattr(Diagnosis, "left", (SimpleNamespace(share=0.2),))
     small = replace(sound, verdict=verdict, search=replace(sound.search, unknown=0.97, nothing=0.01))
     told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
     assert {"diagnosis.nothing_matters", "diagnosis.good_enough"} <= {*told}
-    assert not any("diagnosis.structure_unsure" in keys(words) for words in verdict_words(sound, {}, Advice()))

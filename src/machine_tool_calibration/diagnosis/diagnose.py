@@ -112,6 +112,16 @@ class Diagnosis:
         return led_by_places(left, joint, [noise_of(own) for own in joint.fits])
 
     @property
+    def unknown(self) -> float:
+        """Probability of a structure without a cause; 0 where chance has as much of each by its p-value."""
+        return self.search.unknown if self.left else 0.0
+
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing is missing, no such structure either."""
+        return self.search.nothing + self.search.unknown - self.unknown
+
+    @property
     def noisy(self) -> bool:
         """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
         return self.noise.is_all(self.noise.from_repeats, self.fits[-1].reduced_chi_square)
@@ -120,13 +130,16 @@ class Diagnosis:
     def contradicted(self) -> bool:
         """Whether the model fails by far, and what was found hardly changes that.
 
-        Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead. What
+        Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead, and so
+        does that without any repeats nothing has a pattern. What
         does not reproduce from run to run is no contradiction. Deviations that are read directly scatter as the part or
         the axis does, which nobody declares: repeats tell how far, or what is left has a pattern and is no scatter.
         """
         first, last, expected, known = self.fits[0].solution, self.fits[-1].solution, 1.0, np.inf
+        repeats = self.noise.from_repeats
+        if repeats is None and self.nothing >= priors.LIKELY:
+            return False
         if any(spec_of(session).reads_machine for session in self.chosen.sessions):
-            repeats = self.noise.from_repeats
             if not self.search.accepted or (repeats is None and not self.left):
                 return False
             if repeats is not None:
@@ -352,10 +365,10 @@ def _resolved(
 
 def _verdict(found: Diagnosis) -> str:
     """From the probabilities and the absolute misfit alone."""
-    search, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
+    first, last = found.fits[0].solution, found.fits[-1].solution
     if found.contradicted:
         return "unexplained"
-    if search.unknown > priors.ACCEPTED and search.nothing < priors.LIKELY and not _good_enough(found):
+    if found.unknown > priors.ACCEPTED and found.nothing < priors.LIKELY and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
         left = max((s.share for s in found.left), default=0.0) * last.chi_square
         if not found.accepted or left > first.chi_square - last.chi_square:
@@ -363,7 +376,7 @@ def _verdict(found: Diagnosis) -> str:
     if found.accepted:
         return "missing_effect"
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
-    if search.nothing < 1.0 - priors.SURE and not _good_enough(found):
+    if found.nothing < 1.0 - priors.SURE and not _good_enough(found):
         return "unexplained"
     return "outliers" if found.gross_errors else "adequate"
 

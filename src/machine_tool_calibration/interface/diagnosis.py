@@ -151,11 +151,6 @@ class Diagnosis(Answer, Found):
         ranked = {finding.name: finding.probability for finding in self.ranked if finding.rank}
         return pd.Series(ranked, name="probability", dtype=float).rename_axis("effect")
 
-    @property
-    def nothing(self) -> float:
-        """Probability that nothing is missing, neither an effect of the catalogue nor anything unknown."""
-        return self.search.nothing
-
     @cached_property
     def candidates(self) -> pd.DataFrame:
         """Every effect that was looked for, by its id, the most probable first; SI.

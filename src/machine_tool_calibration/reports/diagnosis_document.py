@@ -51,7 +51,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
             "readings_per_independent": look.memory,
         },
         "spread": [size.document() for size in diagnosis.fits[-1].marginal.sizes],
-        "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},
+        "probabilities": {"nothing": diagnosis.nothing, "unknown_structure": diagnosis.unknown},
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
         "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _LEAST_PROBABILITY],

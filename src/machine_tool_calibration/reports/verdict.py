@@ -97,8 +97,8 @@ def verdict_line(diagnosis: Diagnosis) -> str:
 
 def good_enough(diagnosis: Diagnosis) -> bool:
     """Whether the model lacks something for sure that is too small to matter."""
-    look, sound = diagnosis.search, diagnosis.verdict in ("adequate", "outliers")
-    return sound and (look.unknown > priors.ACCEPTED or look.nothing < 1.0 - priors.SURE)
+    sound = diagnosis.verdict in ("adequate", "outliers")
+    return sound and (diagnosis.unknown > priors.ACCEPTED or diagnosis.nothing < 1.0 - priors.SURE)
 
 
 def _scatters(diagnosis: Diagnosis) -> bool:
@@ -123,8 +123,8 @@ def _verdict(diagnosis: Diagnosis) -> Said:
         names = [_with_doubt(_title(diagnosis, name), look.of(name).probability) for name in diagnosis.accepted]
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
         return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
-    if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
-        something = 1.0 - look.nothing
+    if diagnosis.verdict == "unexplained" and diagnosis.unknown < 1.0 - diagnosis.nothing - diagnosis.unknown:
+        something = 1.0 - diagnosis.nothing
         if something < priors.ACCEPTED:  # by none of these causes, and by how much is left for sure
             return say("diagnosis.misfit_alone")
         return say("diagnosis.which_unknown", p=probability(something))
@@ -136,10 +136,10 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     elif scatters or enough:
         key = ("no_effect" if enough else "no_pattern") if scatters else "nothing_matters"
         sound = say(f"diagnosis.{key}", residual=residual)
-    elif look.nothing < 0.5:
-        sound = say("diagnosis.one_of_many", p=probability(1.0 - look.nothing), residual=residual)
+    elif diagnosis.nothing < 0.5:
+        sound = say("diagnosis.one_of_many", p=probability(1.0 - diagnosis.nothing), residual=residual)
     else:
-        sound = say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
+        sound = say("diagnosis.nothing_shown", p=probability(diagnosis.nothing), residual=residual)
     # Of the readings that were not set aside.
     free = all("free" in spec_of(session).models for session in diagnosis.chosen.sessions)
     repeated = sum(one.repeated for one in diagnosis.gross_errors) if free else 0
