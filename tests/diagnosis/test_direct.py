@@ -461,3 +461,15 @@ def test_scatter_that_grows_with_a_column_is_no_movement_with_it() -> None:
     assert "undetermined.of_the_scatter" in reasons
     for seed in range(2):
         assert diagnose(after_strokes(seed, 0.1)).accepted
+
+
+def test_an_effect_that_would_leave_no_reading_to_check_it_is_not_looked_for() -> None:
+    """Ten places read once, of a curve: a polynomial through all of them proves nothing."""
+    x = np.linspace(0.0, 0.9, 10)
+    columns = {"x": x, "gx": x**0, "gy": 0.0 * x, "gz": 0.0 * x, "displacement": 3e-6 * np.exp(3.0 * x)}
+    found = diagnose(plates.session(columns, 2e-7, "offset", ["EXX"]))
+    assert not found.accepted and found.verdict != "missing_effect"
+    spare = found.fits[0].solution.degrees_of_freedom
+    for finding in found.search.findings:
+        assert all(len(shaped.columns) < spare for shaped in finding.candidate.shapes)
+    assert "too few readings" in found.excluded["EXX"]

@@ -54,8 +54,10 @@ class Follows(ThermalExpansion):
 
     def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the column over its reference."""
+        if self.column.startswith(_TEMPERATURE):
+            return observations.temperature(self.column) - REFERENCE_TEMPERATURE
         values = observations.readings.column(self.column)
-        return values - (REFERENCE_TEMPERATURE if self.column.startswith(_TEMPERATURE) else values.mean())
+        return values - values.mean()
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """A shift, and a scale where the axis moves; as large as a frame's growth over what was recorded."""

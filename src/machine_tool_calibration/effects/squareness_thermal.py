@@ -39,10 +39,11 @@ class SquarenessThermal(SquarenessEffect):
             return f"neither {' nor '.join(self.sensors)} was recorded throughout"
         return why
 
-    def _recorded(self, observations: Observations) -> list[Array]:
-        found = [observations.readings.columns.get(name) for name in self.sensors]
-        return [values for values in found if values is not None and np.isfinite(values).all()]
+    def _recorded(self, observations: Observations) -> list[str]:
+        found = {name: observations.readings.columns.get(name) for name in self.sensors}
+        return [name for name, values in found.items() if values is not None and np.isfinite(values).all()]
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Excess temperature times what the squareness displaces."""
-        return self.turned(observations, np.mean(self._recorded(observations), axis=0) - REFERENCE_TEMPERATURE)
+        recorded = [observations.temperature(name) for name in self._recorded(observations)]
+        return self.turned(observations, np.mean(recorded, axis=0) - REFERENCE_TEMPERATURE)

@@ -27,7 +27,7 @@ class TableThermalGrowth(Effect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Radial and axial growth, sensed through the table."""
-        excess = observations.readings.column("temperature_table") - REFERENCE_TEMPERATURE
+        excess = observations.temperature("temperature_table") - REFERENCE_TEMPERATURE
         direction = axis_direction(table_axis(observations))
         place, sensed = observations.position, observations.table_direction
         axial = (place @ direction) * (sensed @ direction)

@@ -37,7 +37,7 @@ class ThermalExpansion(AxisEffect):
 
     def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) temperature of the structure over the reference, K: that of the axis's sensor."""
-        return observations.readings.column(f"temperature_{self.axis}") - REFERENCE_TEMPERATURE
+        return observations.temperature(f"temperature_{self.axis}") - REFERENCE_TEMPERATURE
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Those of an axis that moves, or the shift of one that stands still."""

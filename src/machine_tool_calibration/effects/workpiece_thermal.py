@@ -30,7 +30,7 @@ class WorkpieceThermal(Effect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Growth in proportion to the distance from the axis, sensed through the workpiece."""
-        excess = observations.readings.column("temperature_work") - REFERENCE_TEMPERATURE
+        excess = observations.temperature("temperature_work") - REFERENCE_TEMPERATURE
         probes = spec_of(observations.session).probes_surface
         sensed = observations.table_direction if probes else -observations.direction
         return np.asarray(excess * np.einsum("nj,nj->n", observations.position, sensed))[None]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.estimation.sensor_noise import without_noise
 from machine_tool_calibration.model.rounding import by_rounding
 from machine_tool_calibration.session.session import Readings, Session, joined
 
@@ -55,6 +56,20 @@ class Observations:
     def clock(self) -> Array:
         """(n,) time of each reading, s; where none was recorded its number, as if they came at equal intervals."""
         return self.readings.columns["time"] if self.timed else self.readings.row.astype(float)
+
+    def temperature(self, name: str) -> Array:
+        """(n,) temperature of a part of the structure by the column of this name, degrees, without its sensor's noise.
+
+        A SessionError if it was not recorded.
+        """
+        if name not in self._temperatures:
+            value = self.readings.column(name)
+            self._temperatures[name] = without_noise(self.clock, value) if self.timed else value
+        return self._temperatures[name]
+
+    @cached_property
+    def _temperatures(self) -> dict[str, Array]:
+        return {}
 
     @cached_property
     def neighbours(self) -> tuple[IntArray, IntArray]:

@@ -105,14 +105,17 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
     Returns:
         Candidates, and for each other effect's id the reason.
     """
-    found, excluded = [], {}
+    found, excluded, spare = [], {}, pool.fit.solution.degrees_of_freedom
     for effect in effects:
         reasons = [effect.why_not(o) for o in pool.observations]
         acting = [o for o, reason in zip(pool.observations, reasons, strict=True) if reason is None]
         shaped = [shaped_at(pool, effect, shape) for shape in _grid(effect, acting)]
-        showing = tuple(s for s in shaped if _acts(pool, s))
-        if showing:
-            found.append(Candidate(effect.id, showing, effect, effect.shapes_for(acting[0])))
+        showing = [s for s in shaped if _acts(pool, s)]
+        checked = tuple(s for s in showing if len(s.columns) < spare)
+        if checked:
+            found.append(Candidate(effect.id, checked, effect, effect.shapes_for(acting[0])))
+        elif showing:
+            excluded[effect.id] = "too few readings: it would leave none that check it"
         else:
             excluded[effect.id] = "no reading depends on it" if acting else str(reasons[0])
     return found, excluded

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a sensor says without its own noise.
+
+A structure's temperature changes over minutes; from reading to reading its sensor scatters. An expansion by the
+recorded temperature would have that scatter, which no machine has: it comes out too small, and another effect that is
+smooth in time explains more (errors in variables). So the course of a sensor is the solution of a smoothing problem,
+
+    min  sum (y_i - z_i)^2 + lambda |D z|^2,
+
+with D the first or second differences over time: a random walk, or a smooth curve. Which, and lambda, are those by
+which every other reading is predicted best by those between (cross-validation); the record itself is one of them. What
+error the course has left is not in the uncertainty of an effect's size.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from machine_tool_calibration.arrays import Array
+
+# Readings farther apart than this, s, by the median, may find a structure at temperatures of their own.
+_APART = 120.0
+# The share of the mean square of predictions that must be gained, and the fewest and most readings that are looked at.
+_GAINED, _FEWEST, _MOST = 0.9, 12, 20_000
+_STRENGTHS = np.geomspace(1e-1, 1e9, 21)
+
+
+def without_noise(time: Array, value: Array) -> Array:
+    """(n,) values at times (n,), s, in any order, without the sensor's noise; as they are where nothing tells of it."""
+    moments, place, count = np.unique(time, return_inverse=True, return_counts=True)
+    if not _FEWEST <= len(moments) <= _MOST or np.median(np.diff(moments)) > _APART or not np.ptp(value) > 0.0:
+        return value
+    place = place.reshape(-1)
+    given = np.bincount(place, value) / count
+
+    def off(course: Callable[[Array, Array], Array]) -> float:
+        """Mean square by which every other reading is off from the course of those between."""
+        halves = [(slice(k, None, 2), slice(1 - k, None, 2)) for k in (0, 1)]
+        found = [given[b] - np.interp(moments[b], moments[a], course(moments[a], given[a])) for a, b in halves]
+        return float(np.mean(np.concatenate(found) ** 2))
+
+    unit = np.median(np.diff(moments))
+    tried = [_course(order, strength * unit ** (2 * order - 1)) for order in (1, 2) for strength in _STRENGTHS]
+    errors = [off(course) for course in tried]
+    best = int(np.argmin(errors))
+    if errors[best] > _GAINED * off(lambda _, values: values):
+        return value
+    return np.asarray(tried[best](moments, given)[place])
+
+
+def _course(order: int, strength: float) -> Callable[[Array, Array], Array]:
+    """The solution of the problem for differences of this order."""
+
+    def course(time: Array, value: Array) -> Array:
+        n, step = len(time), np.diff(time)
+        if order == 1:
+            rows = np.array([-1.0, 1.0])[:, None] / np.sqrt(step)
+        else:
+            left, right = 1.0 / step[:-1], 1.0 / step[1:]
+            rows = np.array([left, -left - right, right]) / np.sqrt((step[:-1] + step[1:]) / 2.0)
+        banded = np.zeros((order + 1, n))  # upper form of 1 + lambda D^T D
+        banded[-1] = 1.0
+        for i in range(order + 1):
+            for j in range(i, order + 1):
+                banded[order - (j - i), j : n - order + j] += strength * rows[i] * rows[j]
+        middle = value.mean()
+        return np.asarray(middle + solveh_banded(banded, value - middle))
+
+    return course
