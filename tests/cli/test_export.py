@@ -198,6 +198,15 @@ def test_runs_whose_directions_agree_are_no_bad_fit() -> None:
     assert bad_fit(fit, {"scatter": agreeing, "position_error_u": [[1e-6, None, None]]}) is None
 
 
+@pytest.mark.parametrize("effects", [[], ["--effect", "backlash_x"]])
+def test_a_reversal_that_the_tables_lack_is_told(effects: list[str], tmp_path: Path, verb: Verb) -> None:
+    flaw = FlawSpec(id="backlash_x", size=5e-6)
+    measured = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=(flaw,))).session
+    write_session(measured, tmp_path / "x")
+    told = warned([str(tmp_path / "x"), "--format", "linuxcnc", "-o", str(tmp_path / "out"), *effects], verb)
+    assert any("both directions differ by a reversal error" in line for line in told) is not bool(effects)
+
+
 @pytest.mark.long
 def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, verb: Verb) -> None:
     words = [str(improved), "--format", "isg", "-o"]

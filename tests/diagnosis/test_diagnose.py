@@ -102,13 +102,14 @@ def test_the_verdict_by_what_is_unknown_and_what_effects_explain(
     assert _verdict(cast(Diagnosis, found)) == verdict
 
 
-@pytest.mark.parametrize("left", [0, 1])
-def test_a_structure_that_chance_has_as_well_is_none(left: int) -> None:
-    """By its p-value, however probable it is beside the others."""
+@pytest.mark.parametrize(("left", "noisy"), [(0, True), (1, True), (0, False)])
+def test_a_structure_that_repeats_have_as_well_is_none(left: int, noisy: bool) -> None:
+    """However probable it is beside the others, unless its p-value says that it is no chance."""
+    unknown = 0.0 if noisy and not left else 0.9
     search = SimpleNamespace(unknown=0.9, nothing=0.06)
-    found = SimpleNamespace(search=search, left=left * (SimpleNamespace(share=0.5),), unknown=0.9 * left)
-    assert Diagnosis.unknown.fget(found) == 0.9 * left  # type: ignore[attr-defined]
-    assert Diagnosis.nothing.fget(found) == pytest.approx(0.06 if left else 0.96)  # type: ignore[attr-defined]
+    found = SimpleNamespace(search=search, left=left * (SimpleNamespace(share=0.5),), noisy=noisy, unknown=unknown)
+    assert Diagnosis.unknown.fget(found) == unknown  # type: ignore[attr-defined]
+    assert Diagnosis.nothing.fget(found) == pytest.approx(0.96 - unknown)  # type: ignore[attr-defined]
 
 
 def test_what_identify_refuses_is_not_called_adequate() -> None:

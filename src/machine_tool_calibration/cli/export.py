@@ -85,10 +85,11 @@ def command(
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
     from machine_tool_calibration.export.compensation import compensation
-    from machine_tool_calibration.model.result import Result
+    from machine_tool_calibration.model.result import Result, lacks_reversal
     from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.session.checks.suspicion import suspicions
+    from machine_tool_calibration.words import say
 
     if wanted.from_history and (len(measurements) > 1 or wanted.effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
@@ -132,6 +133,8 @@ def command(
         note(remark)
     if bad := bad_fit(result.joint, result.error_map.content):
         note(bad)
+    if lacks_reversal(result.error_map.content):
+        note(say("compensation.mean_of_directions"))
     asked.note_unused(fit, measurements)
     if not isinstance(result, Result):
         note(result.agreement.statement)

@@ -113,8 +113,11 @@ class Diagnosis:
 
     @property
     def unknown(self) -> float:
-        """Probability of a structure without a cause; 0 where chance has as much of each by its p-value."""
-        return self.search.unknown if self.left else 0.0
+        """Probability of a structure without a cause.
+
+        None is there where repeats scatter as much as all readings, and chance has as much of each by its p-value.
+        """
+        return 0.0 if self.noisy and not self.left else self.search.unknown
 
     @property
     def nothing(self) -> float:

@@ -93,6 +93,8 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
     yield say("best_plan.searched", plans=found.tried, setups=setups, targets=targets)
     if found.stopped:
         yield say("best_plan.stopped")
+    elif found.tried == 1:
+        yield say("best_plan.no_choice")
     of = say("best_plan.of_effects", names=", ".join(found.effects)) if found.effects else say("best_plan.of_map")
     yield table(
         say("best_plan.title", of=of),
