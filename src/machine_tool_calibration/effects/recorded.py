@@ -57,7 +57,7 @@ class Follows(ThermalExpansion):
         if self.column.startswith(_TEMPERATURE):
             return observations.temperature(self.column) - REFERENCE_TEMPERATURE
         values = observations.readings.column(self.column)
-        return values - values.mean()
+        return np.asarray(values - values.mean())
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """A shift, and a scale where the axis moves; as large as a frame's growth over what was recorded."""
