@@ -236,6 +236,9 @@ def test_a_reading_of_the_wrong_sign_keeps_no_model_from_being_improved() -> Non
     assert done.accepted == ("backlash_c",)
     assert [step.label for step in done.steps] == ["2 readings set aside", "+ backlash_c"]
     assert {step.set_aside for step in done.steps} == {(rows,)}
+    told = [step.result.document() for step in done.steps]
+    assert all(tuple(sorted(one["row"] for one in document["rejected"])) == rows for document in told)
+    assert {document["observations"] for document in told} == {len(reading)}
     assert tuple(sorted(row.row for row in identify(session, effects=["backlash_c"]).rejected)) == rows
 
     compared = compare(session)

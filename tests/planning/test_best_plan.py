@@ -335,3 +335,23 @@ def test_files_of_the_package_offer_something() -> None:
         file = procedure_file(name)
         assert Path(file).is_file()
         assert len(offer(file.read_text(), name).setups) > 10
+
+
+def test_a_plan_that_cannot_be_identified_is_not_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor one that determines less of the map than the procedure as it stands, however small its U."""
+    offered = offer(PLANE, "plane")
+    seen: list[Choice] = []
+
+    def possible(choice: Choice) -> bool:
+        seen.append(choice)
+        return choice != seen[0]
+
+    others = search(offered, _candidates(offered), possible=possible).finalists
+    assert others and seen[0] not in others
+
+    def never(self: object, choice: Choice) -> tuple[float, float]:
+        return (1.0, 1.0) if choice == offered.present else (0.5, 1.0)
+
+    monkeypatch.setattr("machine_tool_calibration.planning.best_plan._Forecasts._forecast", never)
+    found = best_plan(PLANE, "plane.yaml", Assumed())
+    assert found.best is found.present

@@ -246,3 +246,17 @@ def test_alarms_come_first_and_a_suspicion_is_none() -> None:
     suspected = found.courses[2]
     assert suspected.suspected and suspected.kind == "jump" and not suspected.alarm
     assert not any(c.suspected for c in found.alarms)
+
+
+def test_a_damaged_logbook_is_not_written_to(measured: tuple[Session, Entry], tmp_path: Path) -> None:
+    """It would say that an entry is kept which nobody can read again."""
+    book, (_, entry) = Logbook(tmp_path / "mill.logbook"), measured
+    for number in range(3):
+        book.add(replace(entry, sha256=f"{number:064x}"))
+    whole = book.path.read_bytes()
+    half = len(whole) // 2
+    book.path.write_bytes(whole[:half] + bytes([0xA7]) * 4096 + whole[half + 4096 :])
+    damaged = book.path.read_bytes()
+    with pytest.raises(CalibrationError, match=r"mill\.logbook: (is damaged|cannot be used)"):
+        book.add(replace(entry, sha256=64 * "f"))
+    assert book.path.read_bytes() == damaged

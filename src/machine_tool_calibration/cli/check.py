@@ -60,7 +60,8 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
 
         if is_logbook(earlier):
             entries = _before(Logbook(earlier).of_one(machine), asked)
-            last = entries[-1]
+            method = asked.sessions[0].method
+            last = ([one for one in entries if one.result["method"] == method] or entries)[-1]
             model, effects = last.result["model"], tuple(last.result["effects"])
             base = replace(asked, sessions=(last.session,), model=model, effects=effects)
             first = replace(state(base, last.label), date=last.date)
@@ -75,7 +76,8 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
             if session_has_history and not map_has_history:
                 base = replace(base, model=asked.model, effects=asked.effects, own=asked.own)
             first = state(base, str(earlier))
-        asked = replace(asked, model=wanted.model or base.model, effects=wanted.effects or base.effects)
+        if {one.method for one in base.sessions} == {one.method for one in asked.sessions}:
+            asked = replace(asked, model=wanted.model or base.model, effects=wanted.effects or base.effects)
         asked = replace(asked, own=base.own) if map_has_history else asked
         now = state(asked, str(measurement))
         answer = Check.of(check(first, now, history))

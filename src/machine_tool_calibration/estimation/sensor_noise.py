@@ -15,7 +15,6 @@ error the course has left is not in the uncertainty of an effect's size.
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from machine_tool_calibration.arrays import Array
 
@@ -51,6 +50,7 @@ def without_noise(time: Array, value: Array) -> Array:
 
 def _course(order: int, strength: float) -> Callable[[Array, Array], Array]:
     """The solution of the problem for differences of this order."""
+    from scipy.linalg import solveh_banded  # slow to load
 
     def course(time: Array, value: Array) -> Array:
         n, step = len(time), np.diff(time)

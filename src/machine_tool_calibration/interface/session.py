@@ -12,7 +12,7 @@ import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import one_below_the_other
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.interface.show import Shown, require_kind
+from machine_tool_calibration.interface.show import Shown, listed, require_kind
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.identification import session_headline
 from machine_tool_calibration.reports.information import session_parts
@@ -178,7 +178,7 @@ def _flaws(effects: str | Sequence[str] | Mapping[str, float | Mapping[str, Any]
     if isinstance(effects, str):
         effects = (effects,)
     if not isinstance(effects, Mapping):
-        return [{"id": name} for name in effects]
+        return [{"id": name} for name in listed("effects", effects)]
     out = []
     for name, said in effects.items():
         given = dict(said) if isinstance(said, Mapping) else {"size": said}

@@ -19,6 +19,7 @@ from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
+from machine_tool_calibration.model.result import beside_reversal
 from machine_tool_calibration.session.session import refuse_repeated
 
 LEVEL = 0.01
@@ -234,7 +235,8 @@ def compare_fits(
         def told(share: float, k: int = k) -> None:
             progress("drawing both maps", (k + share) / 2)
 
-        own.append(map_draws(fitted, draws, seed + k, told)[:, pair] / np.sqrt(draws))
+        drawn_maps = map_draws(fitted, draws, seed + k, told)[:, pair] * beside_reversal(fitted.error_map.content)
+        own.append(drawn_maps / np.sqrt(draws))
     points = first.error_map.points[pairs[0]]
     one, two = (found.error_map.error[pair] for found, pair in zip((first, second), pairs, strict=True))
     absolute = all(is_absolute(own.content) for own in maps)

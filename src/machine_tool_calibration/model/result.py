@@ -363,6 +363,12 @@ def lacks_reversal(content: Mapping[str, Any]) -> bool:
     return own is not None and content["scatter"]["found"] > _SAME * own
 
 
+def beside_reversal(content: Mapping[str, Any]) -> float:
+    """Share of a map's uncertainty that is scatter: a reversal that the model lacks is none, and both maps have it."""
+    scatter = content.get("scatter")
+    return scatter["one_direction"] / scatter["found"] if scatter and lacks_reversal(content) else 1.0
+
+
 def scatter_p_value(p_value: float | None, content: Mapping[str, Any] | None) -> float | None:
     """The p-value of the scatter by which a fit with a map of this content is judged."""
     if content is None or one_direction(content) is None:

@@ -135,7 +135,14 @@ def best_plan(
     offered = offer(text, source, both_senses=bool(told))
     progress("what every candidate tells", 0.0)
     candidates, points, complete = all_candidates(offered, assumed, told)
-    found = search(offered, candidates, seed=seed, progress=lambda what, share: progress(what, _SEARCH * share))
+    judge = _Forecasts(offered, candidates, assumed, told)
+    found = search(
+        offered,
+        candidates,
+        seed=seed,
+        possible=judge.allows,
+        progress=lambda what, share: progress(what, _SEARCH * share),
+    )
 
     def later(what: str, share: float) -> object:
         return progress(what, _SEARCH + (1 - _SEARCH) * share)
@@ -145,8 +152,13 @@ def best_plan(
         with suppress(KeyboardInterrupt):
             lowest = bound(offered, candidates, found, progress=later)
     present, allowed = offered.present, offered.duration(offered.present) <= offered.seconds
-    plans = {choice: _quality(offered, choice, candidates, assumed, told) for choice in (present, *found.finalists)}
-    best = min((*found.finalists, *([present] if allowed else [])), key=lambda choice: plans[choice].largest)
+    finalists = found.finalists or ((found.choice,) if found.stopped else ())
+    if not (finalists or allowed):
+        raise ModelError(
+            "no plan that was tried can be identified and determines as much as the procedure as it stands"
+        )
+    plans = {choice: judge.quality(choice) for choice in (present, *finalists)}
+    best = min((*finalists, *([present] if allowed else [])), key=lambda choice: plans[choice].largest)
     count = (len(offered.setups), 0 if offered.targets == ("",) else len(offered.targets))
     return BestPlan(
         offered.text(best), plans[present], plans[best], lowest, points, tuple(told), count, found.tried,
@@ -201,20 +213,6 @@ def _foretold(procedure: Procedure, assumed: Assumed, told: Sequence[str]) -> Jo
     return fit_models([_with_effects(expecting(model, assumed.angular), find_effects(told, assumed.own))])
 
 
-def _widened(joint: JointFit, told: Sequence[str]) -> float:
-    """How many times as large U becomes as what does not reproduce between setups is looked for, too."""
-
-    def u(fitted: JointFit) -> Array:
-        if told:
-            own = [k for k, p in enumerate(fitted.assembly.parameters) if p.owner in told]
-            return np.sqrt(np.diag(fitted.published.covariance)[own])
-        return error_map(fitted.fits[0]).uncertainty
-
-    plain, whole = u(declared(joint)), u(joint)
-    good = np.isfinite(plain) & np.isfinite(whole) & (plain > 0)
-    return max(float(whole[good].max() / plain[good].max()), 1.0) if good.any() else 1.0
-
-
 def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     """The model with effects, nonlinear coefficients in the middle of where they are looked for."""
     terms = []
@@ -227,18 +225,49 @@ def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     return model.with_terms(terms)
 
 
-def _quality(
-    offered: Offer, choice: Choice, candidates: Candidates, assumed: Assumed, told: Sequence[str]
-) -> PlanQuality:
-    weights = offered.weights(choice)
-    variances = candidates.variances(weights)
-    with suppress(ModelError):  # too few readings
-        widened = _widened(_foretold(offered.procedure_of(choice), assumed, told), told)
-        variances = np.maximum(variances, widened**2 * candidates.by_scatter(weights))
-    u = np.sqrt(variances[candidates.told])
-    entries: Sequence[Any] = offered.procedure.session.setups
-    places = [getattr(entries[k], "position", None) for k in choice.setups]
-    stations = np.array([place for place in places if place is not None]).reshape(-1, 3)
-    targets = tuple(offered.targets[k] for k in choice.targets if offered.targets[k])
-    setups = tuple(offered.setups[k] for k in choice.setups)
-    return PlanQuality(setups, targets, choice.repeats, offered.duration(choice), u, stations)
+class _Forecasts:
+    """Plans as their readings will be identified: with the map beside effects, and what does not reproduce."""
+
+    def __init__(self, offered: Offer, candidates: Candidates, assumed: Assumed, told: Sequence[str]) -> None:
+        self.offered, self.candidates, self.assumed, self.told = offered, candidates, assumed, told
+        self._known: dict[Choice, tuple[float, float]] = {}
+
+    def allows(self, choice: Choice) -> bool:
+        """Whether the readings of a plan can be fitted, and determine as much of a map as those of the present one."""
+        least = 0.0 if self.told else max(self._forecast(self.offered.present)[0], 0.0)
+        return self._forecast(choice)[0] >= least
+
+    def _forecast(self, choice: Choice) -> tuple[float, float]:
+        """Share of the coordinates of its map that a plan determines, below zero where its readings allow no fit.
+
+        And how many times as large U becomes as what does not reproduce is looked for, too.
+        """
+        if choice not in self._known:
+            try:
+                joint = _foretold(self.offered.procedure_of(choice), self.assumed, self.told)
+                plain, whole = self._u(declared(joint)), self._u(joint)
+            except ModelError:  # too few readings, or a geometry that no fit comes to an end with
+                return self._known.setdefault(choice, (-1.0, np.inf))
+            good = np.isfinite(plain) & np.isfinite(whole) & (plain > 0)
+            widened = max(float(whole[good].max() / plain[good].max()), 1.0) if good.any() else 1.0
+            self._known[choice] = float(np.isfinite(error_map(joint.fits[0]).error).mean()), widened
+        return self._known[choice]
+
+    def _u(self, joint: JointFit) -> Array:
+        if self.told:
+            own = [k for k, p in enumerate(joint.assembly.parameters) if p.owner in self.told]
+            return np.sqrt(np.diag(joint.published.covariance)[own])
+        return error_map(joint.fits[0]).uncertainty
+
+    def quality(self, choice: Choice) -> PlanQuality:
+        """What a plan costs and determines."""
+        offered, weights = self.offered, self.offered.weights(choice)
+        variances, (_, widened) = self.candidates.variances(weights), self._forecast(choice)
+        variances = np.maximum(variances, widened**2 * self.candidates.by_scatter(weights))
+        u = np.sqrt(variances[self.candidates.told])
+        entries: Sequence[Any] = offered.procedure.session.setups
+        places = [getattr(entries[k], "position", None) for k in choice.setups]
+        stations = np.array([place for place in places if place is not None]).reshape(-1, 3)
+        targets = tuple(offered.targets[k] for k in choice.targets if offered.targets[k])
+        setups = tuple(offered.setups[k] for k in choice.setups)
+        return PlanQuality(setups, targets, choice.repeats, offered.duration(choice), u, stations)

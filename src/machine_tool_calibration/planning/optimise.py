@@ -44,9 +44,9 @@ _WORTH = 0.85
 _BOUND_ROUNDS = 60
 _NODES = 500
 _STRIDE = 0.3  # share of the way to where the linear program's solution lies
-# So many of each number of setups and repeats are forecast, if their U by the declared scatter is at most so many times
-# that of the best: what does not reproduce widens each by 1.05 to 1.6.
-_FINALISTS = 8
+# So many of each number of setups and repeats are forecast, of so many that are looked at, if their U by the declared
+# scatter is at most so many times that of the best: what does not reproduce widens each by 1.05 to 1.6.
+_FINALISTS, _ASKED = 8, 16
 _NEAR = 1.25
 _CLOSE = 0.01  # the bound is good enough within this share of the best plan's variance
 # Functions whose variance is at least this share of the largest have tangents; those of the others hardly matter.
@@ -59,7 +59,7 @@ class Searched:
     """The best plan that was found."""
 
     choice: Choice  # of the offer
-    finalists: tuple[Choice, ...]  # the best of each number of setups and repeats, this one among them
+    finalists: tuple[Choice, ...]  # the best of each number of setups and repeats; none where the search was stopped
     variances: Array  # (q,) of the numbers asked for
     tried: int  # how many plans were looked at
     stopped: bool  # whether the search was stopped before it came to its end
@@ -91,15 +91,20 @@ class _Judge:
         variances, redundancy = self.judged(choice)
         return _mean(variances, power) + (_UNCHECKED if redundancy < _CHECKED else 0.0)
 
-    def finalists(self, allowed: Callable[[Choice], bool]) -> tuple[Choice, ...]:
-        """The best checked plans of each number of setups and repeats that come near the best of all."""
+    def finalists(self, allowed: Callable[[Choice], bool], possible: Callable[[Choice], bool]) -> tuple[Choice, ...]:
+        """The best checked plans of each number of setups and repeats that are possible and come near the best."""
         found: dict[tuple[int, int], list[Choice]] = {}
+        asked: dict[tuple[int, int], int] = {}
         near = np.inf
         for choice in sorted(filter(allowed, self.known), key=self.largest):
             if self.largest(choice) > min(near, _UNCHECKED):
                 break
-            of_its_kind = found.setdefault((len(choice.setups), choice.repeats), [])
-            if len(of_its_kind) < _FINALISTS and self.over(choice) <= 1.0 + _ROUNDED:
+            kind = len(choice.setups), choice.repeats
+            of_its_kind, so_far = found.setdefault(kind, []), asked.get(kind, 0)
+            if len(of_its_kind) == _FINALISTS or so_far == _ASKED or self.over(choice) > 1.0 + _ROUNDED:
+                continue
+            asked[kind] = so_far + 1
+            if possible(choice):
                 near = min(near, _NEAR * self.largest(choice))
                 of_its_kind.append(choice)
         return tuple(choice for of_its_kind in found.values() for choice in of_its_kind)
@@ -123,9 +128,16 @@ def _mean(variances: Array, power: float) -> float:
 
 @single_blas()
 def search(
-    offered: Offer, candidates: Candidates, *, seed: int = 0, progress: Progress = lambda what, share: None
+    offered: Offer,
+    candidates: Candidates,
+    *,
+    seed: int = 0,
+    possible: Callable[[Choice], bool] = lambda choice: True,
+    progress: Progress = lambda what, share: None,
 ) -> Searched:
-    """The best plan that coordinate exchange finds; the same seed gives the same plan.
+    """The best plan that coordinate exchange finds, and others; the same seed gives the same plans.
+
+    Whether the others are `possible` is asked of the best first.
 
     A KeyboardInterrupt of `progress` ends the search with what was found up to then. A ModelError if the candidates
     determine nothing, or not even one setup fits in the time.
@@ -155,7 +167,7 @@ def search(
             best = min(filter(exchange.allowed, judge.known), key=judge.largest, default=best)
         over = judge.over(best)
         if over <= 1.0 + _ROUNDED or stopped:
-            finalists = (() if stopped else judge.finalists(first.allowed)) or (best,)
+            finalists = () if stopped else judge.finalists(first.allowed, possible)
             return Searched(best, finalists, judge.judged(best)[0], len(judge.known), stopped)
         seconds /= over
 

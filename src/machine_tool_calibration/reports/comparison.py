@@ -243,7 +243,7 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
     if len(comparison.approaches):
         keys = ("axis", "after", *[*_UNCERTAIN][2:], "p_value")
         yield _table(say("compared.approach"), comparison.approaches, keys, say("compared.apart"))
-    if len(comparison.trends):
+    if len(comparison.trends.dropna(subset=["slope", "added"])):
         yield _trends(comparison)
     keys = ("row", "setup", "repeat", *comparison.texts, "residual_um", "times_expected")
     yield _table(say("compared.readings"), comparison.worst[:_MOST_LABELS], keys, say("compared.expected"))

@@ -182,6 +182,7 @@ NUMERIC_COLUMNS = (
 
 _MISSING = ["", "nan", "NaN", "NAN", "Nan"]
 _LONGEST_LABEL = 256
+_OPTIONAL_AXES = "zabc"
 _PANDAS_ROWS = 20_000  # rows from which pandas is faster, its import included
 
 
@@ -202,6 +203,8 @@ def read_table(path: Path) -> Table:
     labels: dict[str, np.ndarray] = {}
     for name, column in read(path, layout):
         if name not in LABEL_COLUMNS and (values := _numeric(layout, name, column)) is not None:
+            if name in _OPTIONAL_AXES and len(values) and np.isnan(values).all():
+                continue  # a template's column that was left empty: an axis that was not read
             numbers[name] = values
         else:
             labels[name] = _label(layout, name, column)

@@ -19,7 +19,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean
+from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean, one_line
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.provenance import name_of_machine, recorded_texts
@@ -182,6 +182,9 @@ class Logbook:
         """Enter a session: the entry as it is in the logbook, and whether it is new; a CalibrationError if it fails."""
         with self._open(make=True) as database, database:
             database.execute("BEGIN IMMEDIATE")  # so that nobody enters between looking and entering
+            (whole,) = database.execute("PRAGMA quick_check(1)").fetchone()
+            if whole != "ok":
+                raise CalibrationError(f"{self.path}: is damaged, and nothing is entered: {one_line(whole)}")
             if found := self._select(database, "WHERE sha256 = ?", entry.sha256):
                 return found[0], False
             values = {name: getattr(entry, name) for name in _COLUMNS}

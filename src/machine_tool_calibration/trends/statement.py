@@ -24,7 +24,7 @@ from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import DRAWS, is_absolute, states
 from machine_tool_calibration.model.fit import drawn
-from machine_tool_calibration.model.result import Result, effect_estimates, lacks_reversal
+from machine_tool_calibration.model.result import Result, beside_reversal, effect_estimates
 
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
@@ -122,10 +122,7 @@ def of_fit(
     for k, joint in enumerate(drawn(fitted.joint, rng, draws)):
         progress(label, k / draws)
         samples[k] = numbers(fitted, joint).value - published.value[: samples.shape[1]]
-    content = fitted.error_map.content
-    if lacks_reversal(content):
-        # A reversal that the model has not is no scatter: B_mean compares it by itself.
-        samples *= content["scatter"]["one_direction"] / content["scatter"]["found"]
+    samples *= beside_reversal(fitted.error_map.content)
     return Statement(
         label=label,
         date=origin.sessions[0].measured,
