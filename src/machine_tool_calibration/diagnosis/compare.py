@@ -223,9 +223,7 @@ def compare(subject: Session | FitRequest | Fit | Result | JointResult) -> Compa
         fitted = fitted_sessions(subject)
         aside = [() for _ in fitted.model_names]
     triples = zip(fitted.joint.fits, aside, fitted.model_names, strict=True)
-    each = tuple(
-        replace(_compared(fit, fitted.effects, rows, variant), counted=counted) for fit, rows, variant in triples
-    )
+    each = tuple(_compared(fit, fitted.effects, rows, variant, counted) for fit, rows, variant in triples)
     labels = fitted.joint.assembly.labels
     return each[0] if labels is None else JointComparison(fitted.joint, labels, each)
 
@@ -261,7 +259,9 @@ def residual_table(fit: Fit) -> pd.DataFrame:
     return pd.DataFrame(out | {n.replace(" ", "_"): v for n, v in known.items() if n not in (*out, "order")})
 
 
-def _compared(fit: Fit, effects: tuple[str, ...], outliers: tuple[int, ...], variant: str) -> Comparison:
+def _compared(
+    fit: Fit, effects: tuple[str, ...], outliers: tuple[int, ...], variant: str, counted: bool = True
+) -> Comparison:
     readings, along, table = fit.model.observations.readings, covariates(fit.model.observations), residual_table(fit)
     normal = table["residual"] / table["u_declared"]
     each = table[["row", "setup", "repeat"]].assign(
@@ -290,6 +290,7 @@ def _compared(fit: Fit, effects: tuple[str, ...], outliers: tuple[int, ...], var
         texts={name: _of_text(each, values) for name, values in readings.labels.items()},
         approaches=_approaches(fit),
         trends=_trends(fit, along),
+        counted=counted,
     )
 
 

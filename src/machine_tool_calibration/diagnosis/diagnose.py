@@ -134,9 +134,9 @@ class Diagnosis:
         """Whether the model fails by far, and what was found hardly changes that.
 
         Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead, and so
-        does that without any repeats nothing has a pattern. What
-        does not reproduce from run to run is no contradiction. Deviations that are read directly scatter as the part or
-        the axis does, which nobody declares: repeats tell how far, or what is left has a pattern and is no scatter.
+        does that nothing has a pattern where nothing was repeated. What does not reproduce from run to run is no
+        contradiction. Deviations that are read directly scatter as the part or the axis does, which nobody declares:
+        repeats tell how far, or what is left has a pattern and is no scatter.
         """
         first, last, expected, known = self.fits[0].solution, self.fits[-1].solution, 1.0, np.inf
         repeats = self.noise.from_repeats

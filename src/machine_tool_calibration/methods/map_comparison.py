@@ -213,9 +213,9 @@ def compare_fits(
 ) -> MapComparison:
     """Compare the maps of two independent measurements of one machine at the points that both have.
 
-    Effects of time, temperature and the like are left out of both (`FittedSessions.at_reference`). The uncertainties
-    are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
-    ModelError says that no point, or no direction at any, is in both maps.
+    Effects of time, temperature and the like are left out of both (`FittedSessions.at_reference`), and so is of their
+    uncertainty a reversal that the model lacks. Uncertainties are carried over to the common datum by `draws`; each is
+    told to 1 / sqrt(2 draws). A ModelError says that no point, or no direction at any, is in both maps.
     """
     sessions = ([fit.model.observations.session for fit in fitted.joint.fits] for fitted in (first, second))
     for both in itertools.product(*sessions):

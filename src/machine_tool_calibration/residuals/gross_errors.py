@@ -87,8 +87,7 @@ def find_outliers(
     Returns:
         None where the data does not allow the model, which its own fit will say.
     """
-    found: list[Outlier] = []
-    largest: list[Outlier] = []
+    found, largest = list[Outlier](), list[Outlier]()
     for _ in range(ROUNDS):
         try:
             more = _Search.of(without(session, found, as_lost=True), build).outliers()
@@ -97,6 +96,7 @@ def find_outliers(
             if plain is None or found:
                 return largest
             found = largest = find_outliers(session, plain)
+            plain = None
             continue
         more = [o for o in more if o.row not in session.sound]
         found = [*found, *more]
