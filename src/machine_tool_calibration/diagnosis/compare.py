@@ -212,7 +212,7 @@ def compare(subject: Session | FitRequest | Fit | Result | JointResult) -> Compa
     if isinstance(subject, Session | FitRequest):
         chosen = FitRequest.of(subject)
         found = gross_errors(chosen)
-        aside = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in found]
+        aside = [own.rows for own in found]
         try:
             fitted = fit_sessions(chosen)
         except ModelError:

@@ -18,8 +18,8 @@ from machine_tool_calibration.diagnosis.history import Coefficient, Entry, Part
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.model.result import Estimate, Rejected, Result, fit_quality, map_change, map_rms
-from machine_tool_calibration.residuals.gross_errors import Outlier, without
+from machine_tool_calibration.model.result import Estimate, Result, fit_quality, map_change, map_rms
+from machine_tool_calibration.residuals.gross_errors import without
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
@@ -165,7 +165,7 @@ def improve(
         identifying = partial(_on_the_way, progress, 1.0 - 0.55 * left, 0.05 * left)
         for change, wider in accepted_models(found, identifying):
             if (aside, wider.effects) != (steps[-1].set_aside, steps[-1].chosen.effects):
-                steps.append(Step(steps[-1], change, wider, _identified(wider, found.set_aside), aside))
+                steps.append(Step(steps[-1], change, wider, identify_sessions(wider, found.set_aside), aside))
         looks.append(found)
         chosen = chosen.adding(found.accepted)
     progress("done", 1.0)
@@ -181,20 +181,9 @@ def _first(chosen: FitRequest) -> Step:
         if not any(own.outliers for own in found):
             raise
     chosen = replace(chosen, sessions=tuple(without(own.session, own.outliers) for own in found))
-    aside = tuple(tuple(sorted(outlier.row for outlier in own.outliers)) for own in found)
-    change = say("step.set_aside", n=sum(map(len, aside)))
-    return Step(None, change, chosen, _identified(chosen, [own.outliers for own in found]), aside)
-
-
-def _identified(chosen: FitRequest, set_aside: Sequence[Sequence[Outlier]]) -> Result | JointResult:
-    """The result with what was set aside beforehand among the readings that it leaves out, session by session."""
-    result = identify_sessions(chosen)
-    gone = [tuple(Rejected(o.row, o.reason, o.deviation) for o in own) for own in set_aside]
-    if isinstance(result, Result):
-        return replace(result, rejected=result.rejected + gone[0], observations=result.observations + len(gone[0]))
-    rejected = tuple(own + more for own, more in zip(result.rejected, gone, strict=True))
-    observations = tuple(n + len(more) for n, more in zip(result.observations, gone, strict=True))
-    return replace(result, rejected=rejected, observations=observations)
+    result = identify_sessions(chosen, [own.outliers for own in found])
+    change = say("step.set_aside", n=sum(len(own.outliers) for own in found))
+    return Step(None, change, chosen, result, tuple(own.rows for own in found))
 
 
 def leaves_something(found: Diagnosis) -> bool:

@@ -12,7 +12,7 @@ which every other reading is predicted best by those between (cross-validation);
 error the course has left is not in the uncertainty of an effect's size.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -32,39 +32,45 @@ def without_noise(time: Array, value: Array) -> Array:
         return value
     place = place.reshape(-1)
     given = np.bincount(place, value) / count
+    halves = [(slice(k, None, 2), slice(1 - k, None, 2)) for k in (0, 1)]
 
-    def off(course: Callable[[Array, Array], Array]) -> float:
-        """Mean square by which every other reading is off from the course of those between."""
-        halves = [(slice(k, None, 2), slice(1 - k, None, 2)) for k in (0, 1)]
-        found = [given[b] - np.interp(moments[b], moments[a], course(moments[a], given[a])) for a, b in halves]
+    def off(courses: Sequence[Array]) -> float:
+        """Mean square by which every other reading is off from the courses of those between."""
+        pairs = zip(halves, courses, strict=True)
+        found = [given[b] - np.interp(moments[b], moments[a], course) for (a, b), course in pairs]
         return float(np.mean(np.concatenate(found) ** 2))
 
-    unit = np.median(np.diff(moments))
-    tried = [_course(order, strength * unit ** (2 * order - 1)) for order in (1, 2) for strength in _STRENGTHS]
-    errors = [off(course) for course in tried]
-    best = int(np.argmin(errors))
-    if errors[best] > _GAINED * off(lambda _, values: values):
+    unit, least, best = np.median(np.diff(moments)), _GAINED * off([given[a] for a, _ in halves]), None
+    for order in (1, 2):
+        penalties = [_penalty(moments[a], order) for a, _ in halves]
+        for strength in _STRENGTHS * unit ** (2 * order - 1):
+            error = off([_course(given[a], strength * own) for (a, _), own in zip(halves, penalties, strict=True)])
+            if error < least:
+                least, best = error, (order, strength)
+    if best is None:
         return value
-    return np.asarray(tried[best](moments, given)[place])
+    return np.asarray(_course(given, best[1] * _penalty(moments, best[0]))[place])
 
 
-def _course(order: int, strength: float) -> Callable[[Array, Array], Array]:
-    """The solution of the problem for differences of this order."""
+def _penalty(time: Array, order: int) -> Array:
+    """(order + 1, n) upper form of the banded D^T D, for differences of this order."""
+    n, step = len(time), np.diff(time)
+    if order == 1:
+        rows = np.array([-1.0, 1.0])[:, None] / np.sqrt(step)
+    else:
+        left, right = 1.0 / step[:-1], 1.0 / step[1:]
+        rows = np.array([left, -left - right, right]) / np.sqrt((step[:-1] + step[1:]) / 2.0)
+    banded = np.zeros((order + 1, n))
+    for i in range(order + 1):
+        for j in range(i, order + 1):
+            banded[order - (j - i), j : n - order + j] += rows[i] * rows[j]
+    return banded
+
+
+def _course(value: Array, penalty: Array) -> Array:
+    """(n,) the solution of the problem, with lambda in the penalty."""
     from scipy.linalg import solveh_banded  # slow to load
 
-    def course(time: Array, value: Array) -> Array:
-        n, step = len(time), np.diff(time)
-        if order == 1:
-            rows = np.array([-1.0, 1.0])[:, None] / np.sqrt(step)
-        else:
-            left, right = 1.0 / step[:-1], 1.0 / step[1:]
-            rows = np.array([left, -left - right, right]) / np.sqrt((step[:-1] + step[1:]) / 2.0)
-        banded = np.zeros((order + 1, n))  # upper form of 1 + lambda D^T D
-        banded[-1] = 1.0
-        for i in range(order + 1):
-            for j in range(i, order + 1):
-                banded[order - (j - i), j : n - order + j] += strength * rows[i] * rows[j]
-        middle = value.mean()
-        return np.asarray(middle + solveh_banded(banded, value - middle))
-
-    return course
+    banded, middle = penalty.copy(), value.mean()
+    banded[-1] += 1.0
+    return np.asarray(middle + solveh_banded(banded, value - middle))

@@ -111,6 +111,11 @@ class WithoutGrossErrors:
     session: Session  # it, with these as lost ones
     built: Built | None = None  # see `FitRequest`; None where it is yet to be made of what was left
 
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Rows of these readings, in order."""
+        return tuple(sorted(outlier.row for outlier in self.outliers))
+
 
 @dataclass(frozen=True)
 class FittedSessions:

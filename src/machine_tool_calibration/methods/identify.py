@@ -28,6 +28,7 @@ from machine_tool_calibration.methods.joint.small_angles import PublishedAngles,
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.result import Estimate, Identified, Rejected, Result, correlated_with
+from machine_tool_calibration.residuals.gross_errors import Outlier
 from machine_tool_calibration.session.session import Session
 
 
@@ -114,15 +115,17 @@ def fitted_sessions(result: Result | JointResult) -> FittedSessions:
     return FittedSessions(result.joint, None, (result.model_name,), result.effects)
 
 
-def identify_sessions(chosen: FitRequest) -> Result | JointResult:
+def identify_sessions(chosen: FitRequest, set_aside: Sequence[Sequence[Outlier]] = ()) -> Result | JointResult:
     """Identify one machine from one session, or from several of the same or of different methods.
 
-    A ModelError as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
+    Gross errors of each session that was `set_aside` from it beforehand, with all others kept, are told as rejected. A
+    ModelError as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
     """
     if len(chosen.sessions) == 1:
-        return _identified(chosen)
-    observations = tuple(len(session.readings) for session in chosen.sessions)
-    rejected, chosen, fitted = _fitted(chosen)
+        return _identified(chosen, set_aside)
+    gone = set_aside or [()] * len(chosen.sessions)
+    observations = tuple(len(one.readings) + len(own) for one, own in zip(chosen.sessions, gone, strict=True))
+    rejected, chosen, fitted = _fitted(chosen, gone)
     joint, common = fitted.joint, fitted.common
     names = joint.assembly.labels
     assert common is not None and names is not None
@@ -146,10 +149,14 @@ def identify_sessions(chosen: FitRequest) -> Result | JointResult:
     )
 
 
-def _fitted(chosen: FitRequest) -> tuple[tuple[tuple[Rejected, ...], ...], FitRequest, FittedSessions]:
+def _fitted(
+    chosen: FitRequest, gone: Sequence[Sequence[Outlier]]
+) -> tuple[tuple[tuple[Rejected, ...], ...], FitRequest, FittedSessions]:
     """The readings of each session that are kept out, what is chosen without them, and the fit to it."""
     found = (
-        [WithoutGrossErrors([], session) for session in chosen.sessions] if chosen.keep_all else gross_errors(chosen)
+        [WithoutGrossErrors(list(own), session) for session, own in zip(chosen.sessions, gone, strict=True)]
+        if chosen.keep_all
+        else gross_errors(chosen)
     )
     rejected = tuple(
         rejected_readings(session) + tuple(Rejected(o.row, o.reason, o.deviation) for o in own.outliers)
@@ -190,9 +197,9 @@ def identify(
 
 
 @single_blas()
-def _identified(chosen: FitRequest) -> Result:
-    (session,) = chosen.sessions
-    (rejected,), chosen, fitted = _fitted(chosen)
+def _identified(chosen: FitRequest, set_aside: Sequence[Sequence[Outlier]] = ()) -> Result:
+    (session,), gone = chosen.sessions, set_aside or [()]
+    (rejected,), chosen, fitted = _fitted(chosen, gone)
     refuse_impossible(fitted)
     return Result(
         fit=fitted.joint.fits[0],
@@ -200,5 +207,5 @@ def _identified(chosen: FitRequest) -> Result:
         effects=chosen.effects,
         model_name=fitted.model_name,
         rejected=rejected,
-        observations=len(session.readings),
+        observations=len(session.readings) + len(gone[0]),
     )

@@ -245,12 +245,13 @@ class _Forecasts:
         if choice not in self._known:
             try:
                 joint = _foretold(self.offered.procedure_of(choice), self.assumed, self.told)
-                plain, whole = self._u(declared(joint)), self._u(joint)
+                found = error_map(joint.fits[0])
+                plain, whole = self._u(declared(joint)), self._u(joint) if self.told else found.uncertainty
             except ModelError:  # too few readings, or a geometry that no fit comes to an end with
                 return self._known.setdefault(choice, (-1.0, np.inf))
             good = np.isfinite(plain) & np.isfinite(whole) & (plain > 0)
             widened = max(float(whole[good].max() / plain[good].max()), 1.0) if good.any() else 1.0
-            self._known[choice] = float(np.isfinite(error_map(joint.fits[0]).error).mean()), widened
+            self._known[choice] = float(np.isfinite(found.error).mean()), widened
         return self._known[choice]
 
     def _u(self, joint: JointFit) -> Array:
