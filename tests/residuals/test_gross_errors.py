@@ -216,6 +216,20 @@ def test_beside_a_missing_effect_what_is_far_beyond_all_others_is_found() -> Non
     assert sorted(o.row for o in found) == sorted(made.truth.outliers)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_a_model_lacks_of_one_axis_makes_no_reading_along_it_wrong(seed: int) -> None:
+    """A wave that the table of EXX cannot follow, beside straightness that fits ten times better, in any order."""
+    rng, x = np.random.default_rng(seed), np.repeat(np.linspace(0.0, 0.6, 18), 3)
+    columns = {"x": x, "y": 0.0 * x, "z": 0.0 * x} | dict(zip(("gx", "gy", "gz"), np.tile(np.eye(3), 18), strict=True))
+    columns["displacement"] = 3e-5 * np.sin(x / 0.013) * columns["gx"] + rng.normal(scale=2e-6, size=54)
+    columns["displacement"][25] += 5e-4
+    mixed = rng.permutation(54)
+    session = plates.session(
+        {key: column[mixed] for key, column in columns.items()}, 1e-5, "offset", ("EXX", "EYX", "EZX")
+    )
+    assert [mixed[outlier.row] for outlier in find_outliers(session, _built)] == [25]
+
+
 def test_what_rounding_leaves_is_no_gross_error() -> None:
     plan = TrackingPlan(dimension=2, pointing="tracking", station_uncertainty=1e-3)
     for seed in range(5):

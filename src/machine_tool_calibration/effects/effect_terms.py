@@ -280,11 +280,12 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
 def unbounded(fit: JointFit, effect: Effect) -> list[str]:
     """Nonlinear coefficients of an effect in the fit that come out impossible, or less certain than they are large."""
     wanted = {f"{effect.id}.{s.name}" for s in effect.shapes if not s.discrete}
-    solution, out = fit.solution, []
+    # As they are published: what does not reproduce is in their uncertainty, too.
+    published, out = fit.published, []
     for k, parameter in enumerate(fit.assembly.parameters):
         if parameter.name in wanted:
-            moved, u = float(solution.theta[k]), fit.birge_ratio * float(solution.covariance[k, k]) ** 0.5
+            moved, u = float(published.theta[k]), float(published.covariance[k, k]) ** 0.5
             found = parameter.reference + moved
-            if not solution.determined[k] or found <= u or abs(moved) > abs(parameter.reference):
+            if not published.determined[k] or found <= u or abs(moved) > abs(parameter.reference):
                 out.append(parameter.name)
     return out

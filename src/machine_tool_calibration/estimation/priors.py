@@ -141,6 +141,10 @@ SUSPECTED, SUSPECTED_BESIDE = 3.0, 4.0
 JUDGED = 0.02
 """A reading with less than this share of itself in its residual cannot be judged: that is left to curvature."""
 
+OWN_SCATTER, TELLS_SCATTER = 2.0, 8
+"""Scatter of the readings along one axis, over the least of one, from which they are judged by their own; and readings
+from which it is told."""
+
 SINGLE = 0.2
 """Share of the readings beyond which gross errors are no longer single, and none is set aside."""
 

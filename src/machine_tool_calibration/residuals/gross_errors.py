@@ -164,6 +164,7 @@ class _Search:
 
     Attributes:
         way: (n,) way of the axes up to each reading where it reads the machine's own deviation; None elsewhere.
+        along: (n,) the axis along which each of such readings is; None elsewhere.
         start: shared unknowns and points at which the readings are linearised.
         doubtful: rows that are judged in any case.
         pattern: whether courses of the runs were subtracted from the readings.
@@ -179,6 +180,7 @@ class _Search:
         direct = spec_of(model.observations.session).reads_machine
         self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct)
         self.way = _way(model.observations) if direct else None
+        self.along = np.abs(model.observations.direction).argmax(axis=1) if direct else None
         self.sigma = model.sigma
         self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
@@ -260,6 +262,8 @@ class _Search:
         self.start, every = (theta, local[0]), np.arange(self.n)
         spare = max(1.0 - unknowns / self.n, 0.1)
         off, neighbours = residuals[0] / np.sqrt(spare), self.neighbours
+        if (own := self._own_scatter(off)).any():
+            off, self.sigma, self.part = off / own, self.sigma * own, Reweighted(self.part, own**-2.0)
         noise = bulk_of(np.abs(off), spare * self.n, self.rounding)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
         beside = bulk_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some), self.rounding)
@@ -294,6 +298,23 @@ class _Search:
         seen = np.isfinite(spread)
         noise = bulk_of(np.abs(residual / spread)[seen], max(dof, 1.0), self.rounding, self.explained[seen])
         return _Fit(plain, solution, weight, residual, spread, noise, dof)
+
+    def _own_scatter(self, off: Array) -> Array:
+        """(n,) by how much the middle one of deviations along an axis is larger than along the one where it is least.
+
+        1 where that is not clearly more; none of readings where nothing is. What a model lacks of one axis makes no
+        reading along it wrong, however well the others fit.
+        """
+        axes = [np.flatnonzero(self.along == axis) for axis in np.unique(self.along)] if self.along is not None else []
+        axes = [mine for mine in axes if len(mine) >= priors.TELLS_SCATTER]
+        middle = np.array([np.median(np.abs(off[mine])) for mine in axes])
+        ratio = middle / max(float(middle.min(initial=np.inf)), 0.6745)
+        if not (ratio > priors.OWN_SCATTER).any():
+            return np.zeros(0)
+        out = np.ones(self.n)
+        for mine, times in zip(axes, ratio.tolist(), strict=True):
+            out[mine] = times if times > priors.OWN_SCATTER else 1.0
+        return out
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
         """Those of the readings asked for, which are held out, that have gross errors."""

@@ -170,6 +170,48 @@ def test_times_of_patterns_are_told_in_readable_units() -> None:
     ]  # fmt: skip
 
 
+def test_in_one_pass_without_times_the_order_is_the_place() -> None:
+    """What a scan of one axis has in it is called by the position, whichever way it went."""
+    rng, x = np.random.default_rng(3), np.linspace(0.4, 0.0, 120)
+    columns = {key: np.zeros(120) for key in ("y", "z", "gy", "gz")} | {"gx": np.ones(120), "x": x}
+    columns["displacement"] = 1e-5 * (x > 0.25) + rng.normal(scale=1e-6, size=120)
+    found = structure_candidates(Pool(fit_models([build_model(plates.session(columns, 1e-6))[0]])))
+    assert not [one.name for one in found if "order" in one.name]
+    step = next(one for one in found if "a step after" in one.name)
+    assert min(abs(shaped.shape[0] - 0.25) for shaped in step.shapes) < 0.4 / 119
+    assert _dependence(step, (0.2525,)) == ("x", "a step after 252.5 mm")
+    there_and_back = columns | {"x": np.abs(x - 0.2)}
+    found = structure_candidates(Pool(fit_models([build_model(plates.session(there_and_back, 1e-6))[0]])))
+    assert any(one.name.startswith("order: a step") for one in found)
+
+
+def test_where_every_run_has_its_places_at_the_same_turns_nothing_depends_on_these() -> None:
+    rng, number = np.random.default_rng(3), np.tile(np.arange(12.0), 4)
+    columns = {key: np.zeros(48) for key in ("y", "z", "gy", "gz")} | {"gx": np.ones(48), "x": 0.01 * number}
+    columns["displacement"], setup = rng.normal(scale=1e-6, size=48), np.repeat(np.arange(4), 12)
+
+    def covariates(x: np.ndarray) -> set[str]:
+        session = plates.session(columns | {"x": x}, 1e-6, "none", (), None, *"ABCD", setup=setup)
+        return {one.dependence[0] for one in structure_candidates(Pool(fit_models([build_model(session)[0]])))}
+
+    assert "order within the run" not in covariates(columns["x"])
+    assert "order within the run" in covariates(rng.permuted(columns["x"].reshape(4, 12), axis=1).ravel())
+
+
+def test_of_few_degrees_of_freedom_no_columns_are_a_pattern_because_the_declared_uncertainty_is_small() -> None:
+    """Three products of two coordinates take most of what four degrees of freedom leave of any scatter."""
+    shares = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        at = rng.uniform(0.0, 0.1, (13, 2))
+        columns = {key: np.zeros(13) for key in ("z", "gx", "gy")}
+        columns |= {"gz": np.ones(13), "x": at[:, 0], "y": at[:, 1], "displacement": rng.normal(scale=8e-5, size=13)}
+        found = diagnose(plates.session(columns, 2e-6, "none", ("EZX", "EZY")))
+        shares.append(min((one.p_value for one in found.search.structure), default=1.0))
+    # Declared is a fortieth of the scatter: something is missing, and nobody knows what.
+    assert min(shares) > 1e-3
+
+
 @pytest.mark.long
 def test_setups_that_read_one_place_have_no_slopes() -> None:
     """Three targets of one pose that is approached from anywhere."""

@@ -126,6 +126,24 @@ def test_few_scattered_places_have_coarse_tables_of_two_axes(direct: SimpleNames
     assert found.rms_residual < 1e-5
 
 
+def test_reading_scattered_places_again_makes_no_table_finer(direct: SimpleNamespace) -> None:
+    """Thirty places in space, each read three times: with nodes at every place the nine tables had checked nothing."""
+    rng = np.random.default_rng(4)
+    position = np.repeat(rng.uniform(0.0, 0.3, (30, 3)), 3, axis=0)
+    direction, sigma = np.tile(np.eye(3), (30, 1)), 1e-6
+    bends = np.repeat(rng.normal(scale=3e-5, size=(30, 3)), 3, axis=0)  # of no axis
+    read = np.einsum("nj,nj->n", bends, direction)
+    terms = [f"E{along}{axis}" for along in "XYZ" for axis in "XYZ"]
+    once = direct.written(position, direction, read + rng.normal(scale=sigma, size=90), terms=terms, sigma=sigma)
+    again = [np.tile(one, (3, 1)) for one in (position, direction)]
+    thrice = direct.written(*again, np.tile(read, 3) + rng.normal(scale=sigma, size=270), terms=terms, sigma=sigma)
+    tables = [identify(session).error_map.content["tables"] for session in (once, thrice)]
+    assert [len(table["value"]) for table in tables[1].values()] == [
+        len(table["value"]) for table in tables[0].values()
+    ]
+    assert identify(thrice).fit.joint.p_value < 1e-6
+
+
 def test_few_scattered_places_have_coarse_tables_of_three_axes(direct: SimpleNamespace) -> None:
     """Nine tables of 21 nodes have more unknowns than 49 places have readings."""
     rng = np.random.default_rng(6)

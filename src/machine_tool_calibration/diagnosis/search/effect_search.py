@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 from scipy.special import logit, logsumexp
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
 from machine_tool_calibration.diagnosis.search.columns import Columns, exclusive, outside_the_model
+from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
@@ -23,7 +25,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
 )
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, scaled_columns, search
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import marginal_at
+from machine_tool_calibration.estimation.marginal import Marginal, marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.result import effect_signal
@@ -35,6 +37,8 @@ from machine_tool_calibration.words import lasting, say
 _ROUNDING = 1e-6
 # Effects whose laws are tried with their tolerances in any case.
 _BEST = 6
+# Covariates that are positions, m; share of the squares that is rounding.
+_POSITIONS, _NEVER = ("x", "y", "z"), 1e-300
 # Memories of the noise that are tried at most; share by which they are the same.
 _MEMORIES, _SAME_MEMORY = 6, 0.1
 
@@ -334,14 +338,24 @@ def _structure(columns: Columns, found: Posterior) -> tuple[Structure, ...]:
     single, marginal, out = found.single, found.marginal, []
     for k in (k for k in single.best if k >= columns.effects):
         log_factor = float(single.log_factors[k])
-        # Judged by the structures' prior against all others: what no effect says.
-        p = found.p_value(k, log_factor)
+        block = columns.blocks[single.best[k].block]
+        share = np.sum(fitted_in(marginal, block.place)[1] ** 2) / marginal.squares
+        # Judged by the structures' prior against all others: what no effect says; and by the scatter that is left.
+        p = max(found.p_value(k, log_factor), columns.candidates[k].count * _of_scatter(marginal, block, float(share)))
         if p <= priors.STRUCTURE_P:
-            block = columns.blocks[single.best[k].block]
-            explained = float(np.sum(fitted_in(marginal, block.place)[1] ** 2))
             words = _dependence(columns.candidates[k], block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, explained / float(marginal.squares))))
+            out.append((p, -log_factor, Structure(*words, p, float(share))))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
+
+
+def _of_scatter(marginal: Marginal, block: Block, share: float) -> float:
+    """Probability that columns take so large a share of the squares of noise of whatever size (the F test).
+
+    Few degrees of freedom are mostly what any few columns take up, whatever the declared uncertainty is.
+    """
+    rank = fitted_in(marginal, block.place)[0].shape[1]
+    left = marginal.gram.dof - rank
+    return float(special.fdtrc(rank, left, share / rank / max((1.0 - share) / left, _NEVER))) if left > 0 else 1.0
 
 
 def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, str]:
@@ -350,7 +364,7 @@ def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, st
     covariate, how = candidate.dependence
     if not shape:
         return covariate, how
-    if len(shape) > 1:
+    if len(shape) > 1 or covariate.rsplit("/", 1)[-1] in _POSITIONS:
         return covariate, say(how.key, at=", ".join(f"{1e3 * position:.4g} mm" for position in shape))
     if covariate.endswith("time"):
         return covariate, say(how.key, at=lasting(shape[0]))

@@ -38,6 +38,8 @@ _ENOUGH = 40
 _MOMENTS, _CHANGES, _LOOKED_AT, _CLOSER = 24, 6, 300, 8
 # Lines across an axis at which a zone is tried to end, and corners that are looked at.
 _LINES, _CORNERS = 20, 4
+# Share of the variance of the turns at which places are read below which each has its own.
+_ALWAYS = 0.01
 # Range of a direction's component below which it is the same for all readings.
 _SAME_DIRECTION = 1e-6
 
@@ -262,14 +264,13 @@ def _from_place_to_place(scaled: Array, sign: Array) -> Array:
 
 
 def _events(observations: Observations, residual: Array, explained: _Explained) -> Iterator[Candidate]:
-    """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s.
+    """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period.
 
-    Where no time was recorded, the order of the readings serves, and both are counts of readings. The residuals (n,)
-    are over the standard uncertainty.
+    The residuals (n,) are over the standard uncertainty.
     """
-    name, time = "time" if observations.timed else "order", observations.clock
+    name, time = _sequence(observations)
     covariate = named("column", name)
-    for shape, of in _sudden(observations):
+    for shape, of in _sudden(observations, time):
         evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
         moments = np.union1d(evenly, _moments(time, of, explained)).tolist()
         steps = tuple(ShapedColumns((moment,), of(moment)) for moment in moments)
@@ -288,9 +289,21 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
         yield from _waves(covariate, time, frequency, [power])
 
 
-def _sudden(observations: Observations) -> Iterator[tuple[str, Callable[[float], Array]]]:
+def _sequence(observations: Observations) -> tuple[str, Array]:
+    """Name and (n,) values of what the readings follow: time, s; where none was recorded their order, in readings.
+
+    Of one pass along an axis, in which the order is the place, it is called by that, m.
+    """
+    if not observations.timed:
+        for axis, position in zip("xyz", observations.position.T, strict=True):
+            step = np.diff(position)
+            if step.any() and (np.all(step >= 0) or np.all(step <= 0)):
+                return axis, position
+    return "time" if observations.timed else "order", observations.clock
+
+
+def _sudden(observations: Observations, time: Array) -> Iterator[tuple[str, Callable[[float], Array]]]:
     """What comes at a moment, by that: a step of the readings, and where these are displacements one of the part."""
-    time = observations.clock
     yield "shape.step_at", partial(_step, time)
     along = observations.direction[:, np.ptp(observations.direction, axis=0) > _SAME_DIRECTION].T
     if len(along) > 1 and spec_of(observations.session).reads_machine:
@@ -375,8 +388,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     run = observations.readings.repeat_of_setup
     if not observations.timed and run.max(initial=0) > 0 and "order" in known:
         out["order"] = known["order"]
-    if run.max(initial=0) > 0:  # what settles after each start
-        out["order within the run"] = occurrence(run).astype(float)
+    since = occurrence(run).astype(float)
+    if run.max(initial=0) > 0 and not _same_turns(observations.readings.alike(setup=False), since):
+        out["order within the run"] = since  # what settles after each start
     if "path" in out:
         out["path within the setup"] = within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
@@ -385,6 +399,13 @@ def _covariates(observations: Observations) -> dict[str, Array]:
             off = np.bincount(run, observations.readings.displacement - observations.path)
             out["displacement"] = observations.path + (off / np.maximum(np.bincount(run), 1))[run]
     return out
+
+
+def _same_turns(place: IntArray, turn: Array) -> bool:
+    """Whether most places are read again, always at about the same turn of a run: what comes with it is the place's."""
+    count = np.bincount(place)
+    off = (turn - (np.bincount(place, turn) / np.maximum(count, 1))[place])[count[place] > 1]
+    return 2 * len(off) > len(turn) and float(np.mean(off**2)) < _ALWAYS * float(np.var(turn))
 
 
 def _rate(time: Array, values: Array) -> Array:

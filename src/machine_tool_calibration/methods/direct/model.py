@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, rigid_motions, rms, unsigned
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.chain import Chain
@@ -39,7 +39,7 @@ from machine_tool_calibration.model.model import (
     Term,
     weight_row,
 )
-from machine_tool_calibration.model.observations import Observations, first_states
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations, first_states
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
@@ -213,7 +213,7 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
 def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: bool = False) -> DirectModel:
     """The model, also with other machine errors (`terms`) than the session names; raises as `build`."""
     description = session.description.as_a(Direct)
-    readings, count = _usable(session.readings), len(_usable(session.as_recorded.readings))
+    readings = _usable(session.readings)
     position = readings.position()
     direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
     length = np.linalg.norm(direction, axis=1)
@@ -237,7 +237,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
             terms=terms_of_points, constraints=constraints, left_out=setups.left_out, datum=said, tables=(),
             fixed=fixed, points=points,
         )  # fmt: skip
-    kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position, count))
+    kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position, _telling(session)))
     constraints, words, fixed = _datum(kept, machine, setups, observations)
     laid_down = {name for constraint in constraints for name in constraint.weights}
     unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]
@@ -259,6 +259,20 @@ def _usable(readings: Readings) -> Readings:
     if not len(usable):
         raise ModelError("no reading: every displacement is missing")
     return usable
+
+
+def _telling(session: Session) -> int:
+    """How many readings tell the tables apart, with those that were set aside.
+
+    Of one axis all: its places are its nodes, and repeats check them. Where several move each place has nodes of its
+    own in every table, so that only the number of places, in each direction that is sensed, checks a table.
+    """
+    readings = _usable(session.as_recorded.readings)
+    position = readings.position()
+    if np.count_nonzero(np.ptp(position, axis=0) > SAME_POSITION) < 2:
+        return len(readings)
+    sensed = unsigned(np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")]))
+    return int(groups(distinct_places(position)[1], *np.round(1e6 * sensed.T)).max()) + 1
 
 
 def _sensed_terms(
