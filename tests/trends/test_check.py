@@ -183,6 +183,25 @@ def test_values_that_one_of_both_lacks_are_left_out() -> None:
     assert found.u == pytest.approx(np.sqrt(2) * 1e-7)
 
 
+@pytest.mark.parametrize("draws", [0, 300])
+def test_motions_that_were_read_at_other_positions_are_compared_between_these(draws: int) -> None:
+    at, between, u, bent, moved = np.linspace(0.0, 0.4, 11), np.linspace(0.02, 0.38, 10), 5e-7, 0, 0
+
+    def read(where: Array, more: float, seed: int) -> Statement:
+        rng = np.random.default_rng(seed)
+        value = 2e-5 * np.sin(9.0 * where) + more * (where > 0.2) + u * rng.standard_normal(len(where))
+        own = statement(value, u, f"{len(where)} {more} {seed}", "EXX", draws, seed)
+        return replace(own, parts={"EXX": replace(own.parts["EXX"], at=where)})
+
+    for seed in range(40):
+        earlier = read(at, 0.0, 2 * seed)
+        (same,) = check(earlier, read(between, 0.0, 2 * seed + 1)).changes
+        (other,) = check(earlier, read(between, 8e-6, 2 * seed + 1)).changes
+        bent, moved = bent + same.moved, moved + other.moved
+        assert 0.0 < other.at[0] < 0.4 and other.rms > 2e-6
+    assert bent <= 2 and moved == 40
+
+
 def test_how_many_places_of_the_earlier_map_are_compared_is_said() -> None:
     points = np.array([[x, 0.0, 0.0] for x in AT])
     value = np.zeros(3 * len(points))

@@ -73,7 +73,8 @@ def check_remarks(check: Check) -> Iterator[str]:
     if check.blind:
         yield say("check.blind_words", names=enumeration([_name(one) for one in check.blind]))
     if check.places[0] < check.places[1]:
-        yield say("check.places", n=check.places[0], count=check.places[1])
+        n, count = check.places
+        yield say("check.places", n=n, count=count) if n else say("check.no_places")
     if check.not_compared:
         yield say("check.not_compared", names=", ".join(check.not_compared))
     if not check.correlated:

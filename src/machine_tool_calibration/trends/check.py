@@ -2,10 +2,12 @@
 """Whether an earlier map of a machine still predicts a measurement, and which error has changed if it does not.
 
 Error motions, squareness, reversal and effects are held against each other one by one, and the position errors as a
-whole. Where both measurements are at hand with their readings, each with all correlations: what the coordinate system
-can change (zero, and the slope of a straightness) is taken out of both, and the position errors are brought to a common
-datum as `methods/map_comparison.py` does it. A result document has no correlations: there its coordinate system must be
-the same, and a motion's largest normalised difference counts, times the number of its values (Bonferroni).
+whole. Motions that were read at other positions are compared by straight lines between these, with what such a line is
+wrong by where the motion bends. Where both measurements are at hand with their readings, each has all correlations:
+what the coordinate system can change (zero, and the slope of a straightness) is taken out of both, and the position
+errors are brought to a common datum as `methods/map_comparison.py` does it. A result document has no correlations:
+there its coordinate system must be the same, and a motion's largest normalised difference counts, times the number of
+its values (Bonferroni).
 
 As many are tested at once, their p-values are adjusted by Holm's step-down rule, which holds whatever the correlation
 between them is (the position errors are made of the motions): that any error of a machine that did not change is
@@ -21,6 +23,8 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.methods.joint.map import squared_bend
 from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
 from machine_tool_calibration.trends.statement import Part, Statement
 
@@ -150,43 +154,74 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
     return out
 
 
+@dataclass(frozen=True)
+class _Values:
+    """An error as one measurement has it at some positions, or a single number."""
+
+    value: Array  # (q,) in the unit; NaN where not determined
+    u: Array  # (q,) standard uncertainty
+    deviations: Array | None  # (draws, q) drawn together; None of a document
+    variance: Array  # (q,) of what straight lines between its positions are wrong by
+
+
 def _part(earlier: Statement, now: Statement, name: str, between: float) -> Change | None:
     """The change of an error motion or of a single number; None where they have nothing in common."""
     one, two = earlier.parts[name], now.parts[name]
-    if (picks := _common(one, two)) is None:
+    if (one.at is None) != (two.at is None) or not len(at := _reached(one, two)):
         return None
-    members = one.members[picks[0]], two.members[picks[1]]
-    values = [own.numbers.value[m] for own, m in zip((earlier, now), members, strict=True)]
-    sigmas = [own.numbers.u[m] for own, m in zip((earlier, now), members, strict=True)]
-    good = np.isfinite(values[0] + values[1] + sigmas[0] + sigmas[1])
+    before, after = _values(earlier, one, at), _values(now, two, at)
+    good = np.isfinite(before.value + after.value + before.u + after.u)
     if not good.any():
         return None
-    at = None if one.at is None else one.at[picks[0]][good]
-    before, after = values[0][good], values[1][good]
-    spread = 2.0 * between**2 * np.ones(len(before))
-    if at is not None and len(at) > 1 and earlier.samples is not None and now.samples is not None:
-        base, _ = np.linalg.qr(Part(name, one.unit, members[0][good], at).datum)
-        before, after = (value - base @ (base.T @ value) for value in (before, after))
-        draws = len(earlier.samples)
-        rows = (earlier.samples[:, members[0][good]] - now.samples[:, members[1][good]]) / np.sqrt(draws)
-        rows = np.concatenate([rows, np.diag(np.sqrt(spread))]) if between else rows
+    base, _ = np.linalg.qr(Part(name, one.unit, one.members, at[good] if one.at is not None else None).datum)
+    first, second = before.value[good], after.value[good]
+    spread = (2.0 * between**2 + before.variance + after.variance)[good]
+    if one.at is not None and good.sum() > 1 and before.deviations is not None and after.deviations is not None:
+        first, second = (value - base @ (base.T @ value) for value in (first, second))
+        draws = len(before.deviations)
+        rows = (before.deviations - after.deviations)[:, good] / np.sqrt(draws)
+        rows = np.concatenate([rows, np.diag(np.sqrt(spread))[spread > 0]])
         rows = rows - (rows @ base) @ base.T
         u = np.sqrt(np.einsum("kq,kq->q", rows, rows))
-        p = joint_p_value(after - before, rows, draws)
+        p = joint_p_value(second - first, rows, draws)
     else:
-        u, p = np.sqrt(sigmas[0][good] ** 2 + sigmas[1][good] ** 2 + spread), None
-    size = (float(before[0]), float(after[0])) if at is None else (float(np.ptp(before)), float(np.ptp(after)))
-    places = ((),) * len(u) if at is None else tuple((place,) for place in at.tolist())
-    return _change(name, one.unit, size, after - before, u, places, between, p)
+        u, p = np.sqrt(before.u[good] ** 2 + after.u[good] ** 2 + spread), None
+    size = (float(first[0]), float(second[0])) if one.at is None else (float(np.ptp(first)), float(np.ptp(second)))
+    places = ((),) * len(u) if one.at is None else tuple((place,) for place in at[good].tolist())
+    return _change(name, one.unit, size, second - first, u, places, between, p)
 
 
-def _common(one: Part, two: Part) -> tuple[IntArray, IntArray] | None:
-    """Which values of two parts are of the same positions."""
+def _reached(one: Part, two: Part) -> Array:
+    """(q,) positions of the part with fewer of them that the other one reaches; a zero of single numbers."""
     if one.at is None or two.at is None:
-        return None if one.at is not two.at else (np.arange(1), np.arange(1))
-    near = np.abs(one.at[:, None] - two.at) < _SAME_POSITION
-    first = np.flatnonzero(near.any(axis=1))
-    return (first, near[first].argmax(axis=1)) if len(first) else None
+        return np.zeros(1)
+    few, many = sorted((one.at, two.at), key=len)
+    reached: Array = few[(few > many.min() - _SAME_POSITION) & (few < many.max() + _SAME_POSITION)]
+    return reached
+
+
+def _values(own: Statement, part: Part, at: Array) -> _Values:
+    """What a statement says of a part at positions (q,), by straight lines between its own."""
+    members, weights, variance = part.members, np.ones((1, 1)), np.zeros(len(at))
+    drawn = None if own.samples is None or members.max() >= own.samples.shape[1] else own.samples
+    if part.at is not None:
+        order = np.argsort(part.at)
+        nodes, members = part.at[order], members[order]
+        weights = interpolation(nodes, at)
+        known = np.flatnonzero(np.isfinite(own.numbers.value[members] + own.numbers.u[members]))
+        if len(known) > 2 and (weights > 0).sum(axis=0).max() > 1:
+            mine = members[known]
+            covariance = np.diag(own.numbers.u[mine] ** 2) if drawn is None else np.cov(drawn[:, mine].T)
+            bend = squared_bend(nodes[known], own.numbers.value[mine], covariance)
+            right = np.clip(np.searchsorted(nodes, at, side="right"), 1, len(nodes) - 1)
+            step = nodes[right] - nodes[right - 1]
+            variance = (step**2 * weights[right - 1, range(len(at))] * weights[right, range(len(at))] / 2.0) ** 2 * bend
+    used = weights > 0
+    value, u = (
+        np.where(used, one[members][:, None] * weights, 0.0).sum(axis=0) for one in (own.numbers.value, own.numbers.u)
+    )
+    deviations = None if drawn is None else np.nan_to_num(drawn[:, members]) @ weights
+    return _Values(value, u, deviations, variance)
 
 
 def _position(earlier: Statement, now: Statement, between: float) -> Change | None:
