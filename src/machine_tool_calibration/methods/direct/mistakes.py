@@ -64,9 +64,13 @@ def _judgements(session: Session, build: Build, extent: float) -> Iterator[Judge
     if along > 0.0:
         yield Judgement(lambda s: float(np.nanstd(s.readings.displacement)) / along, _read(session), _WRECK, _READ)
 
-    # A part may lie askew: what counts is what is left of its deviations.
+    # A part may lie askew, and a bed need not be level: what counts is what is left of the deviations.
     def left(supposed: Session) -> float:
-        return float(np.median(np.abs(fit_models([build(supposed)]).fits[0].residuals))) / extent
+        fit = fit_models([build(supposed)]).fits[0]
+        seen, residuals = fit.model.observations, fit.residuals
+        tilts = np.array([seen.position[:, i] * seen.direction[:, j] for i, j in itertools.permutations(range(3), 2)]).T
+        residuals = residuals - tilts @ np.linalg.lstsq(tilts, residuals, rcond=1e-9)[0]
+        return float(np.median(np.abs(residuals))) / extent
 
     units = [(factor, what) for factor, what in UNITS if spread * factor < _ASKEW * extent]
     yield Judgement(left, scaled(session, *units), max(_WRECK, _GOOD * session.sigma / extent), _USUAL)
