@@ -80,8 +80,10 @@ def nodes(context):
     chosen = {name: values for name, values in parameters.items() if name not in left_out}
     said = []
     if is_true["use_sim_time"] and not is_true["axes"]:
+        topic = "/".join(["", *given["namespace"].strip("/").split("/"), "clock"]).replace("//", "/")
         clock = (
-            "the nodes wait for a /clock of yours, as the simulated axes' is missing; without one: use_sim_time:=false"
+            f"the nodes wait for a {topic} of yours, as the simulated axes' is missing; without one: "
+            "use_sim_time:=false"
         )
         said.append(LogInfo(msg=f"axes:=false with use_sim_time:=true: {clock}"))
     started = managed_nodes(chosen, given["namespace"], given["params_file"], ends, autostart=is_true["autostart"])

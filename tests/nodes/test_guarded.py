@@ -169,6 +169,38 @@ def test_a_node_does_not_start_with_values_that_cannot_be(made, name, value):
         made(Estimator, **{name: value})
 
 
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"effects": "backlash_y"}, r"^parameter effects is a list: effects:=\[backlash_y\]$"),
+        ({"use_sim_time": "maybe"}, "^parameter use_sim_time is 'maybe', neither true nor false$"),
+    ],
+)
+def test_a_word_for_a_list_and_a_clock_that_is_neither_are_refused(made, given, why):
+    with pytest.raises(CalibrationError, match=why):
+        made(Estimator, **given)
+
+
+def test_that_another_node_has_the_same_name_is_said_once(made, monkeypatch, capfd):
+    node = made(Estimator)
+    mine = (node.get_name(), node.get_namespace())
+    for there in ([mine], [mine, mine], [mine]):  # as one is that was killed and is started again
+        monkeypatch.setattr(node, "get_node_names_and_namespaces", lambda there=there: there)
+        node._look_for_namesakes()
+    assert "another node is called" not in capfd.readouterr().err
+    monkeypatch.setattr(node, "get_node_names_and_namespaces", lambda: [mine, mine])
+    for _ in range(6):
+        node._look_for_namesakes()
+    assert capfd.readouterr().err.count("another node is called /estimator") == 1
+
+
+def test_nothing_is_identified_from_no_readings(made):
+    node = made(Estimator)
+    hear(node, "session", String(data=yaml.safe_dump({"format": "mtcal-session/1", **PROCEDURE["session"]})))
+    with pytest.raises(CalibrationError, match="no readings yet"):
+        node._begin("identifying", lambda request, progress: None)
+
+
 def test_a_parameter_that_there_is_not_is_said(made, capfd):
     node = made(AxisSimulator, sped=1.0)
     assert not node.has_parameter("sped")

@@ -125,7 +125,16 @@ def test_a_file_of_parameters_that_is_not_there_is_refused(launch):
             started(launch(file), params_file="none.yaml")
 
 
+def test_a_driver_that_is_not_there_or_lives_in_simulated_time_is_refused(launch):
+    with pytest.raises(CalibrationError, match=r"^driver: none\.yaml: no such file$"):
+        started(launch("graph.launch.py"), driver="none.yaml", use_sim_time="false")
+    with pytest.raises(CalibrationError, match=r"^driver: a real driver needs real time"):
+        started(launch("graph.launch.py"), driver=__file__)
+
+
 def test_who_has_no_axes_and_no_clock_is_told(launch):
+    first, *_ = started(launch("graph.launch.py"), axes="false", namespace="cell_1/")
+    assert "the nodes wait for a /cell_1/clock of yours" in first.named["msg"]
     first, *_ = started(launch("graph.launch.py"), axes="false")
     assert first.named["msg"].startswith("axes:=false with use_sim_time:=true: the nodes wait for a /clock of yours")
     made = started(launch("graph.launch.py"), axes="false", use_sim_time="false")
@@ -160,8 +169,9 @@ def test_a_node_that_only_listens_is_started_again_where_it_fails(launch, file, 
     running, count = SimpleNamespace(is_shutdown=False), 1
     on_exit = exit_handler(launch(file), name, bag="run")
     assert on_exit(ended(name, 1), SimpleNamespace(is_shutdown=True)) is None
-    by_itself = on_exit(ended(name, 0), running)
-    assert type(by_itself).__name__ == "LogInfo" and by_itself.named["msg"].endswith("the other nodes go on without it")
+    for status in (0, 1):  # it has ended by itself, or could not start, as it could not a second time
+        alone = on_exit(ended(name, status), running)
+        assert type(alone).__name__ == "LogInfo" and alone.named["msg"].endswith("the other nodes go on without it")
     while not isinstance(done := on_exit(ended(name, -9), running), Record):
         said, again = done
         count += 1

@@ -40,7 +40,7 @@ def test_a_manager_takes_a_measuring_graph_up_and_down_and_ends_it(bench: Bench)
     assert said.read_text().splitlines() == up + down
     assert manager.returncode == 0
     assert operator.wait(lambda: len(graph.ended()) == len(NODES), PATIENCE), graph.ended()
-    assert all(" ended with status 0:" in why for why in graph.ended().values()), graph.ended()
+    assert all(" ended with status 0" in why for why in graph.ended().values()), graph.ended()
     # the procedure was measuring: it has stopped the axes, and every reading until then is in a whole recording
     bag = BagReader(bench.folder / "bag1")
     *_, last = bag.messages(["/procedure/status"])
@@ -82,7 +82,21 @@ def test_a_node_is_set_by_hand(bench: Bench) -> None:
     assert set_state(operator, "estimator", "cleanup") and state(operator, "estimator") == "unconfigured"
     assert set_state(operator, "estimator", "shutdown")
     assert operator.wait(lambda: "estimator" in graph.ended(), PATIENCE)
-    assert graph.ended()["estimator"].startswith("estimator ended with status 0:")
+    assert graph.ended()["estimator"].startswith("estimator ended with status 0")
+
+
+def test_a_recorder_that_is_taken_down_and_up_begins_another_bag_and_says_why_it_cannot(bench: Bench) -> None:
+    bench.graph(("recorder",), simulated_time=False)
+    operator = bench.operator()
+    for _ in range(2):
+        assert set_state(operator, "recorder", "deactivate")
+        assert set_state(operator, "recorder", "activate")
+    assert sorted(path.name for path in bench.folder.glob("bag1*")) == ["bag1", "bag1_2", "bag1_3"]
+    assert set_state(operator, "recorder", "deactivate")
+    (bench.folder / "bag1_4").write_text("something else")
+    assert not set_state(operator, "recorder", "activate")
+    (log,) = bench.folder.glob("log*/recorder.log")
+    assert "not activated: " in log.read_text() and "bag1_4" in log.read_text()
 
 
 @pytest.mark.long

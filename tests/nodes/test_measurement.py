@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes import measurement
+from machine_tool_calibration.nodes.graph import Graph
 from machine_tool_calibration.nodes.measurement import _Listeners
 
-from .conftest import PROCEDURE, SITE
+from .conftest import PATIENCE, PROCEDURE, SITE
 from .reference import reference
 
 
@@ -59,8 +61,39 @@ def test_real_time_gives_the_same_readings(bench, finish):
     assert np.diff(readings(operator)["time"]).min() > 0.2
 
 
+def test_a_graph_that_is_there_already_is_refused_before_anything_is_started(bench, monkeypatch):
+    bench.graph(("axis_simulator",))
+    operator = bench.operator()
+    assert operator.wait(lambda: operator.has_node("axis_simulator"), PATIENCE)
+    started = []
+    monkeypatch.setattr(measurement, "Graph", lambda nodes, *_: SimpleNamespace(namespace="", ended=dict, nodes=nodes))
+    monkeypatch.setattr(measurement, "_await_ready", lambda *_: started.append(1))
+    setting = measurement.Setting(bench.folder / "run", domain=bench.domain)
+    file = bench.folder / "procedure1.yaml"
+    with pytest.raises(CalibrationError, match=rf"in ROS domain {bench.domain}, with /axis_simulator: both would move"):
+        measurement.measure(file, setting)
+    assert not started
+
+
+@pytest.mark.parametrize(
+    ("log", "told"),
+    [
+        ("[INFO] [17.5] [probe]: touching\n", ""),
+        ("[WARN] [17.5] [probe]: slow\n[INFO] [18.0] [probe]: touching\n", ": slow"),
+        ("probe: no such file\n\n", ": probe: no such file"),
+    ],
+)
+def test_what_a_node_said_last_is_no_innocent_line_of_its_log(tmp_path, log, told):
+    graph = Graph({}, tmp_path, 0)
+    (tmp_path / "probe.log").write_text(log)
+    graph._running["probe"] = SimpleNamespace(poll=lambda: -9, returncode=-9)
+    assert graph.ended() == {"probe": f"probe was ended by SIGKILL{told}"}
+    graph._running["probe"] = SimpleNamespace(poll=lambda: 1, returncode=1)
+    assert graph.ended() == {"probe": f"probe ended with status 1{told}"}
+
+
 def test_a_listener_that_ends_is_started_again_and_what_it_missed_is_said(tmp_path):
-    why, done = "recorder ended with status -9: gone", []
+    why, done = "recorder was ended by SIGKILL", []
     graph = SimpleNamespace(
         ended=lambda: {"recorder": why}, start=lambda name, folder: done.append((name, folder)), kill=done.append
     )

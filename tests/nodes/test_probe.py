@@ -187,7 +187,7 @@ def test_a_run_whose_probe_dies_says_so_and_keeps_its_readings(bench, monkeypatc
     output = bench.folder / "run"
     setting = measurement.Setting(output, domain=bench.domain, record=False)
     with pytest.raises(
-        CalibrationError, match=r"^probe ended with status -9: .*; \d+ of 200 readings are kept in "
+        CalibrationError, match=r"^probe was ended by SIGKILL.*; \d+ of 200 readings are kept in "
     ) as dead:
         measurement.measure(Path(bench.write("probing.yaml", procedure())), setting, progress)
     count = int(re.search(r"(\d+) of 200", str(dead.value))[1])

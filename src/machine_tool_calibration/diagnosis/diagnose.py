@@ -28,6 +28,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
     Structure,
     led_by_places,
+    of_places,
     search_effects,
 )
 from machine_tool_calibration.diagnosis.search.findings import Finding, in_order
@@ -249,6 +250,8 @@ def _search(
     if repeated is not None:
         said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
         noise = replace(noise, **said)
+        # Means of places have no repeats, beside which places that differ would show.
+        search = replace(search, structure=search.structure or of_places(search.fit, [repeated]))
     found = Diagnosis(
         chosen=chosen,
         searched=searched,

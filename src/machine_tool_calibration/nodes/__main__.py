@@ -25,7 +25,7 @@ def main(name: str, args: list[str]) -> int:
     Asked for help, it prints what the node is and takes, and starts nothing. An interpreter that tidies up, or waits
     for a calculation that nobody wants any more, could take seconds under load.
 
-    The exit status is returned where no node was wanted, but help.
+    The exit status is returned where no node was wanted, but help, or an argument is unknown.
     """
     for number in (signal.SIGINT, signal.SIGTERM):  # while it is still importing: as when it runs, not a word
         signal.signal(number, lambda *_: sys.exit(0))
@@ -33,6 +33,9 @@ def main(name: str, args: list[str]) -> int:
     own = args[: args.index("--ros-args")] if "--ros-args" in args else args
     if "--help" in own or "-h" in own:
         return _help(name, str(module.__doc__))
+    if own:
+        print(f"{name}: unknown argument {own[0]!r}; parameters come after --ros-args (--help)", file=sys.stderr)
+        return 2
     from machine_tool_calibration.nodes.ros.process import SAVE_GRACE, STOP_GRACE, run
 
     status = run(getattr(module, NODES[name]), [name, *args], grace=SAVE_GRACE if name in _SAVES else STOP_GRACE)

@@ -127,6 +127,8 @@ class Estimator(ManagedNode):
         if not self._text:
             raise CalibrationError("no session has been described yet (topic session)")
         request, missing = self._request(), self._received.missing
+        if not request.readings:
+            raise CalibrationError("no readings yet (topic reading)")
         lacking = f" ({missing} are missing)" if missing else ""
         return f"{doing} from {len(request.readings)} readings{lacking}", lambda progress: work(request, progress)
 

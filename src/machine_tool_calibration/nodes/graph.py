@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -27,10 +28,13 @@ from machine_tool_calibration.session.catalogue import method_spec
 
 LISTENERS = ("estimator", "recorder")
 """Nodes that only listen: where one ends the measurement goes on, and it is started again."""
+COULD_NOT_START = 1
+"""Exit status of a node that could not start (`nodes.ros.process.run`): it could not a second time."""
 LISTENER_STARTS = 4
 """Of one of these; more do not help it."""
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 _POLL = 0.02  # s
+_STAMP = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^]]*\]: ")  # before what a node's log says
 _GRACE = 3.0  # s in which a node ends by itself after SIGINT
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
@@ -98,7 +102,7 @@ class Graph:
     def ended(self) -> dict[str, str]:
         """Nodes that have ended by themselves, with their status and the last line of their log."""
         return {
-            name: f"{name} ended with status {process.returncode}: {self._last_line(name)}"
+            name: f"{name} {_ending(process.returncode)}{self._last_line(name)}"
             for name, process in self._running.items()
             if process.poll() is not None
         }
@@ -130,8 +134,15 @@ class Graph:
             _ended(self._running.pop(name), max(begin + grace - time.monotonic(), _POLL))
 
     def _last_line(self, name: str) -> str:
-        log = (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
-        return log.rpartition("\n")[2].strip() or "it left no message"
+        """The last line of its log that says more than what it does, after a colon; nothing where there is none."""
+        log = (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").splitlines()
+        told = [line.strip() for line in log if line.strip() and not line.startswith(("[INFO]", "[DEBUG]"))]
+        return f": {_STAMP.sub('', told[-1])}" if told else ""
+
+
+def _ending(status: int) -> str:
+    """How a process ended, by its exit status."""
+    return f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
 
 
 def _ended(process: subprocess.Popen[bytes], grace: float) -> int:
@@ -173,8 +184,14 @@ def graph_parameters(
     """Parameters of the nodes that a measurement needs, by their names.
 
     A probe is instrument and pointer in one, a fixed beam needs no pointer. `site` is the file of what is true in the
-    simulated workshop; with simulated time they live by `/clock`. An empty `bag` is one named by the date.
+    simulated workshop; with simulated time they live by `/clock`. An empty `bag` is one named by the date. A
+    CalibrationError: there is no such driver's file, or it has to live in simulated time.
     """
+    if driver != "simulated":
+        if not Path(driver).is_file():
+            raise CalibrationError(f"driver: {driver}: no such file")
+        if simulated_time:
+            raise CalibrationError("driver: a real driver needs real time: use_sim_time must be false")
     common = {"use_sim_time": simulated_time}
     # one origin for all simulating nodes, whole seconds so that it is exact
     world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
@@ -232,7 +249,7 @@ def managed_nodes(
             if context.is_shutdown:
                 return None
             why = f"{name} has ended (status {event.returncode}); the other nodes go on"
-            if not event.returncode or start == LISTENER_STARTS:
+            if event.returncode in (0, COULD_NOT_START) or start == LISTENER_STARTS:
                 return LogInfo(msg=f"{why} without it")
             whole = "; `mtcal recover` makes the bag so far whole" if name == "recorder" else ""
             return [LogInfo(msg=f"{why}, it is started again and gets all readings{whole}"), listener(name, start + 1)]

@@ -38,6 +38,8 @@ from machine_tool_calibration.simulation.site import SiteSpec
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 120.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0
+_DISCOVERED = 1.0  # s after which nodes that were there before are known
+_FORGOTTEN = 25.0  # s after which one that was killed no longer is
 _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and may blink
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
@@ -152,10 +154,11 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     nodes, begin = _nodes(setting, file, procedure), time.monotonic()
     with claimed_domain(setting.domain, setting.namespace) as domain:
         graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
-        progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
-        with graph, Client(domain, graph.namespace, watch=listeners.watch) as client:
-            with _keeping(client, listeners, output, total):
+        with Client(domain, graph.namespace, watch=listeners.watch) as client:
+            _refuse_company(client, list(nodes), domain)
+            progress("starting the nodes", 0, total)
+            with graph, _keeping(client, listeners, output, total):
                 _await_ready(client, list(nodes))
                 listeners.client = client
                 started = time.monotonic()
@@ -164,8 +167,8 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 measured = time.monotonic() - started
                 captured = client.procedure.number("captured")
                 document = _identify(client, listeners, captured, progress) if setting.identify else None
-            progress("closing the recording", captured, captured)
-            graph.stop(["recorder"])
+                progress("closing the recording", captured, captured)
+                graph.stop(["recorder"])
             if (session := _save(client, output)) is None:
                 raise CalibrationError("the procedure ended without a reading")
             counters = {name: client.procedure.number(name) for name in _COUNTERS}
@@ -239,6 +242,23 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
         left_out.add("estimator")
     first = sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
     return {name: parameters[name] for name in first if name not in left_out}
+
+
+def _refuse_company(client: Client, names: Sequence[str], domain: int) -> None:
+    """Refuse (CalibrationError) to start where nodes of these names are: both graphs would move the same axes."""
+
+    def there() -> list[str]:
+        return [name for name in names if client.has_node(name)]
+
+    def gone() -> bool:  # what was killed is known for a while, and says nothing
+        return not there() or any(client.heard.said(name).at for name in names)
+
+    if client.wait(lambda: bool(there()), _DISCOVERED) and not (client.wait(gone, _FORGOTTEN) and not there()):
+        where = f"{client.node.get_namespace().rstrip('/')}/{there()[0]}"
+        raise CalibrationError(
+            f"another graph is in ROS domain {domain}, with {where}: both would move the same axes; end it, or "
+            "--domain-id or --namespace keeps them apart"
+        )
 
 
 def _await_ready(client: Client, names: Sequence[str]) -> None:

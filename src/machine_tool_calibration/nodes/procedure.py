@@ -299,7 +299,7 @@ class ProcedureNode(ManagedNode):
         needed = ("axes", "pointer", "instrument") if aims else ("axes", "instrument")
         missing = [name for name in needed if name not in self._seen]
         if not messages.now(self):
-            missing.append("/clock")
+            missing.append(self.resolve_topic_name("/clock"))
         if "instrument" not in missing and not (self._capture.service_is_ready() and self._datum.service_is_ready()):
             missing.append("instrument")
         return ", ".join(missing)

@@ -22,15 +22,20 @@ _NEVER = ("/rosout", "/parameter_events", "/clock")
 class Recorder(ManagedNode):
     """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
 
+    _folder, _bags = "", 0  # the parameter, and how many bags it has begun by it
+
     def settings(self) -> None:
         """See `ManagedNode`."""
-        topics, self._everything, self._folder = self.values("topics", "all_topics", "folder")
+        before, (topics, self._everything, self._folder) = self._folder, self.values("topics", "all_topics", "folder")
+        self._bags = self._bags if before == self._folder else 0
         self._wanted = {self.resolve_topic_name(name) for name in topics if name}
         names = ("split_size", "split_duration", "flush_period")
         self._split_bytes, self._split_time, self._flush = self.values(*names)
 
     def activate(self) -> None:
-        """See `ManagedNode`: a recording begins, in a bag of its own."""
+        """See `ManagedNode`: a recording begins, in a bag of its own; further ones have numbers after the folder."""
+        folder = Path(self._folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}")
+        number = f"_{self._bags + 1}" if self._folder and self._bags else ""
         self._status = StatusTopic(self, "recorder")
         self._ignored = {*_NEVER, self.resolve_topic_name("~/status")}
         self._refused: dict[str, str] = {}
@@ -38,11 +43,12 @@ class Recorder(ManagedNode):
         self.trouble = ""
         self._waiting = self.lives_in_simulated_time
         self.bag = BagWriter(
-            Path(self._folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
+            folder.with_name(folder.name + number),
             flush_seconds=self._flush,
             split_bytes=self._split_bytes,
             split_seconds=self._split_time,
         )
+        self._bags += 1
         self.taps = Taps(self, self.resolve_topic_name("/clock") if self._waiting else "")
         for topic in GRAPH_TOPICS:  # whose type is known: they need no publisher to be subscribed to
             name = self.resolve_topic_name(topic.name)

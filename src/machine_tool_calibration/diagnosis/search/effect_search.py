@@ -149,7 +149,7 @@ def _read_off(
     limits = (further if among_others else priors.ACCEPTED, further)
     accepted = _accepted(columns, groups, found, limits, present) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
-    structure = (led_by_places(_structure(columns, found), fit, noise) or _of_places(fit, noise)) if still else ()
+    structure = (led_by_places(_structure(columns, found), fit, noise) or of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
     return EffectSearch(
         pool=pool,
@@ -380,11 +380,11 @@ def led_by_places(found: tuple[Structure, ...], fit: JointFit, every: Sequence[N
     """
     if not found or found[0].covariate.rsplit("/", 1)[-1] not in ("time", "order"):
         return found
-    places = [place for place in _of_places(fit, every) if place.share >= found[0].share]
+    places = [place for place in of_places(fit, every) if place.share >= found[0].share]
     return (*places, *found)
 
 
-def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
+def of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     """Places, or targets at the one place, that differ more than their repeats, whatever the pattern."""
     out = []
     for own, noise in zip(fit.fits, every, strict=True):

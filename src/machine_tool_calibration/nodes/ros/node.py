@@ -39,6 +39,7 @@ _REASON_LENGTH = 200  # characters of a reason
 # among them: what comes in a burst beyond that is lost without a word.
 CALLS = QoSProfile(depth=1000)
 _FAREWELL = 0.5  # s in which the last messages arrive; one that has been killed never has them
+_LOOK_FOR_NAMESAKES, _LOOKS_AT_NAMESAKES = 10.0, 3  # s; a node that was killed is known for some 20 s
 _OF_ROS = ("use_sim_time", "start_type_description_service")  # parameters that every node has
 
 
@@ -61,6 +62,8 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **more)
         # what was given, until the node declares it
         self._given = set(self.get_parameters_by_prefix("")) - set(_OF_ROS)
+        if not isinstance(clock := self.get_parameter("use_sim_time").value, bool):
+            raise CalibrationError(f"parameter use_sim_time is {clock!r}, neither true nor false")
         self.add_on_set_parameters_callback(self._set)
 
     @property
@@ -221,7 +224,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        self._is_active = False
+        self._is_active = self._is_starting = False
         kind = type(self).__module__.rpartition(".")[2]
         GuardedNode.__init__(self, kind)
         LifecycleNodeMixin.__init__(self)
@@ -232,11 +235,34 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         self.done = False  # whether the node has nothing more to do, which ends its process
         self._kept: set[Any] = set()  # what the node has before it is activated
         every = yaml.safe_load(_PARAMETERS.read_text(encoding="utf-8"))
-        for parameter, entry in (every["every_node"] | every[kind]).items():
+        entries = every["every_node"] | every[kind]
+        self._refuse_wrong_kinds({parameter: entry["default"] for parameter, entry in entries.items()})
+        for parameter, entry in entries.items():
             self.declare(parameter, **entry)
         (self.autostart,) = self.values("autostart")
         self.settings()
         self.say_unknown_parameters()
+        self._namesakes = 0
+        self.every(_LOOK_FOR_NAMESAKES, self._look_for_namesakes)
+
+    def _refuse_wrong_kinds(self, defaults: Mapping[str, Any]) -> None:
+        """What rclpy would take letter by letter, or pass over; a CalibrationError."""
+        for name, default in defaults.items():
+            if isinstance(default, list) and isinstance(given := self.get_parameter_or(name).value, str):
+                raise CalibrationError(f"parameter {name} is a list: {name}:=[{given}]")
+
+    def _look_for_namesakes(self) -> None:
+        """Say once that another node has the same name, whose services are the same; one that was killed soon has not.
+
+        Both answer a call, and whoever calls hears one of them.
+        """
+        mine = (self.get_name(), self.get_namespace())
+        self._namesakes = self._namesakes + 1 if self.get_node_names_and_namespaces().count(mine) > 1 else 0
+        if self._namesakes == _LOOKS_AT_NAMESAKES:
+            name = self.get_fully_qualified_name()
+            self.get_logger().warning(
+                f"another node is called {name}, and answers the same services: one of both must go"
+            )
 
     def values(self, *names: str) -> list[Any]:
         """What parameters of these names are set to."""
@@ -302,10 +328,12 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         return TransitionCallbackReturn.SUCCESS
 
     def start(self) -> None:
-        """Configure and activate the node; raises CalibrationError where it cannot be."""
+        """Configure and activate the node; raises CalibrationError where it cannot be, and logs nothing of it."""
+        self._is_starting = True
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
                 raise CalibrationError(self.fault)
+        self._is_starting = False
 
     def _transit(self, what: str, transition: Callable[[], None]) -> TransitionCallbackReturn:
         self.fault = ""
@@ -315,7 +343,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
             self.fault = _reason(error)
             if not isinstance(error, CalibrationError):
                 self.note_fault(what, error)
-            elif not self.autostart:  # else who starts it says so
+            elif not self._is_starting:
                 self.get_logger().error(f"not {what}: {self.fault}")
             return TransitionCallbackReturn.FAILURE
         self.is_configured = True
