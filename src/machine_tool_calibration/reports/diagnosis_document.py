@@ -50,7 +50,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
             "lack_of_fit_p_value": noise.lack_of_fit_p,
             "readings_per_independent": look.memory,
         },
-        "spread": [size.document() for size in diagnosis.fits[-1].marginal.sizes],
+        "spread": [size.document() for size in diagnosis.with_found.joint.marginal.sizes],
         "probabilities": {"nothing": diagnosis.nothing, "unknown_structure": diagnosis.unknown},
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],

@@ -78,7 +78,7 @@ def verdict_words(
         yield from _unexplained(diagnosis)
     if diagnosis.gross_errors and diagnosis.verdict != "outliers":
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
-    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
+    yield from reproducibility_words([size.document() for size in diagnosis.with_found.joint.marginal.sizes])
     if (memory := diagnosis.search.memory) >= _MEMORY:
         yield say("diagnosis.memory", n=min(round(memory), len(Pool(diagnosis.search.fit))))
     yield from _noise(diagnosis)

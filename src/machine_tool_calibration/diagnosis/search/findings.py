@@ -43,7 +43,7 @@ class Finding:
 
     candidate: Candidate  # what it is
     shape: tuple[float, ...]  # its best nonlinear coefficients
-    rms_after: float  # root mean square of the residuals beside these sizes, m, as screened
+    rms_after: float  # root mean square of the residuals with it, m, as screened
     place: slice | None = None  # where its columns are among all that were screened; None if the model absorbs it
     # its linear coefficients, fitted to what the model leaves; without those that the model absorbs
     sizes: tuple[Size, ...] = ()
@@ -143,7 +143,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     rank, count = basis.shape[1], len(shaped.columns)
     variance = max(squares - gain, NOTHING * squares) / max(marginal.gram.dof - rank, 1)
     mean, covariance = posterior_of(marginal, block, point)
-    signal, deviation, own = mean[:count], np.sqrt(np.diag(covariance)[:count] * variance), np.r_[place][:count]
+    signal, deviation = mean[:count], np.sqrt(np.diag(covariance)[:count] * variance)
     fitted = zip(shaped.coefficients, signal.tolist(), deviation.tolist(), _outside(inner), strict=True)
     # Readings without any noise leave nothing.
     rest = max(1.0 - gain / squares, NOTHING) if squares > 0 else 1.0
@@ -151,7 +151,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     return Finding(
         candidate=candidate,
         shape=shaped.shape,
-        rms_after=rms_with(float(signal @ (2.0 * plain.data[own] - plain.inner(own, own) @ signal))),
+        rms_after=rms_with(float(np.sum(fitted_in(plain, place)[1] ** 2))),
         place=place,
         sizes=tuple(Size(c, value, uncertainty) for c, value, uncertainty, seen in fitted if seen),
         signal=signal,
