@@ -4,12 +4,12 @@
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import unit_vectors
 from machine_tool_calibration.simulation.flaws import deviation, refractivity, vapour_pressure
 from machine_tool_calibration.simulation.sensors import (
     Pointer,
     across,
     aim,
-    beam_direction,
     distance,
     mirror_path,
     probed,
@@ -55,7 +55,7 @@ def test_radial_error_motion_adds_its_harmonics_to_the_path():
 def test_radial_error_motion_is_in_the_plane_of_azimuth():
     """A beam that rises by 60 degrees senses half of it."""
     up, azimuth = np.full(5, np.pi / 3), np.linspace(-2, 2, 5)
-    beam = beam_direction(azimuth, up)
+    beam = unit_vectors(azimuth, up)
     origin, direction = Pointer(radial={2: (3e-6, 0.0)}).beam(azimuth, up, np.zeros((5, 3)))
     assert np.abs(origin[:, 2]).max() == 0.0
     expected = 0.5 + 0.5 * 3e-6 * np.cos(2 * azimuth)

@@ -75,7 +75,7 @@ def test_live_readings_are_those_of_the_session():
         first.setdefault(setup, length[0])
         turned = np.array([azimuth])
         sight = Sight(length, direction, turned, incidence=turned, change=length - first[setup])
-        path.append(float((length + live.added(now, sight))[0]))
+        path.append(float((length + live.disturbance(now).added(sight))[0]))
     path = np.array(path)
     begin = np.unique(session.readings.setup, return_index=True)[1]
     np.testing.assert_allclose(path - path[begin][session.readings.setup], session.readings.displacement, atol=1e-14)

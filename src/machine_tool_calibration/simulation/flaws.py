@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, unit_vectors
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.simulation.flaw import (
     BEAM,
@@ -23,7 +23,6 @@ from machine_tool_calibration.simulation.flaw import (
 )
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS, THERMAL_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
-from machine_tool_calibration.simulation.sensors import beam_direction
 
 HELIUM_NEON = 0.6329908
 """Vacuum wavelength of the helium-neon laser, micrometres."""
@@ -100,7 +99,7 @@ def _phases(rng: np.random.Generator, _: Scene | None) -> Parameters:
 
 def _level(sight: Sight) -> Array:
     """(n, 3) unit vectors of level beams of the same azimuth."""
-    return beam_direction(sight.azimuth, np.zeros_like(sight.azimuth))
+    return unit_vectors(sight.azimuth, np.zeros_like(sight.azimuth))
 
 
 def _pointer_radial(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:

@@ -109,7 +109,7 @@ class SimulatedSource:
         if not self.site.flaws:
             return paths
         one = self.optics.sight(targets[middle : middle + 1], pose, self._beam, moment)
-        return np.asarray(paths + self.site.added(moment, replace(one, change=one.path - self.first)))
+        return np.asarray(paths + self.site.disturbance(moment).added(replace(one, change=one.path - self.first)))
 
     def need_answers(self) -> None:
         """Refuse a reading (NotYet) as long as it is not known where the target and the beam are."""

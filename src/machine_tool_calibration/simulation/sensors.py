@@ -4,7 +4,7 @@
 import numpy as np
 from pydantic import Field
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, unit_vectors
 from machine_tool_calibration.session.record import Finite, Record
 from machine_tool_calibration.simulation.motions import cross
 
@@ -47,12 +47,6 @@ def aim(station: Array, target: Array, dimension: int = 3) -> tuple[Array, Array
     return azimuth, elevation
 
 
-def beam_direction(azimuth: Array, elevation: Array) -> Array:
-    """(n, 3) unit vectors of beams of that azimuth and elevation, rad."""
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
-
-
 def sensed_path(target: Array, origin: Array, direction: Array) -> Array:
     """(n,) path from `origin` (n, 3) along `direction` (n, 3) that a retroreflector at `target` returns, m."""
     return np.asarray(np.einsum("...i,...i->...", np.asarray(target, float) - origin, direction))
@@ -77,12 +71,12 @@ class Pointer(Record):
 
     def beam(self, azimuth: Array, elevation: Array, station: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
         """(n, 3) origin, m, and direction of the true beam at commanded angles (n,), rad, with a further `turn`."""
-        direction = beam_direction(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
+        direction = unit_vectors(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
         back: Array | float = 0.0
         for order, (cosine, sine) in self.radial.items():
             back = back + cosine * np.cos(order * azimuth) + sine * np.sin(order * azimuth)
         left = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(direction[..., 0])], axis=-1)
-        flat = beam_direction(azimuth, np.zeros_like(azimuth))
+        flat = unit_vectors(azimuth, np.zeros_like(azimuth))
         origin = station - np.asarray(back)[..., None] * flat + self.eccentricity * left
         return origin, direction
 

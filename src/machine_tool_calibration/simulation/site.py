@@ -21,7 +21,7 @@ from machine_tool_calibration.instruments.touch import NominalTouch, Part
 from machine_tool_calibration.session.checks.nominal_geometry import nominal_points
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
-from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Sight, combine
+from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, combine
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_record
@@ -101,10 +101,6 @@ class LiveMachine:
         n, disturbance = len(scene), self.disturbance(scene)
         flat, up = np.broadcast_to(azimuth, n), np.broadcast_to(elevation, n)
         return pointer.beam(flat, up, station + disturbance.station, disturbance.turn)
-
-    def added(self, scene: Scene, sight: Sight) -> Array:
-        """(n,) what the flaws of air and instrument add to the path, m."""
-        return self.disturbance(scene).added(sight)
 
 
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
