@@ -169,14 +169,8 @@ def join(segments: Sequence[Segment]) -> list[Contour]:
 def _grow(chain: list[Segment], left: list[Segment]) -> bool:
     """Add one segment at the end of a chain, or at its beginning; whether one fitted."""
     for k, segment in enumerate(left):
-        back = segment.turned_back()
-        for fits, piece, at_end in (
-            (_near(chain[-1].end, segment.start), segment, True),
-            (_near(chain[-1].end, segment.end), back, True),
-            (_near(chain[0].start, segment.end), segment, False),
-            (_near(chain[0].start, segment.start), back, False),
-        ):
-            if fits:
+        for at_end, piece in itertools.product((True, False), (segment, segment.turned_back())):
+            if _near(chain[-1].end, piece.start) if at_end else _near(piece.end, chain[0].start):
                 del left[k]
                 chain.insert(len(chain) if at_end else 0, piece)
                 return True
