@@ -71,16 +71,12 @@ _CODES = {
 }
 
 
-def offered_qos(channel: Mapping[str, str]) -> tuple[Qos, ...]:
-    """What a channel's metadata says of its publishers' quality of service; none where it cannot be understood.
+@lru_cache(maxsize=64)
+def offered_qos(text: str) -> tuple[Qos, ...]:
+    """What a channel's `offered_qos_profiles` say; none where they cannot be understood.
 
     It is only for people, and for late subscribers when the bag is played: a bag is readable without it.
     """
-    return _profiles(channel.get("offered_qos_profiles", ""))
-
-
-@lru_cache(maxsize=64)
-def _profiles(text: str) -> tuple[Qos, ...]:
     try:
         entries = load_yaml(text, "offered_qos_profiles").value if len(text) < _MOST_QOS else ()
     except SessionError:

@@ -159,7 +159,7 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
                 type=kind,
                 encoding=channel.message_encoding,
                 type_hash=channel.metadata.get("topic_type_hash", ""),
-                qos=offered_qos(channel.metadata),
+                qos=offered_qos(channel.metadata.get("offered_qos_profiles", "")),
                 messages=count + (before.messages if before else 0),
             )
     return topics

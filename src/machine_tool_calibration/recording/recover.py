@@ -103,7 +103,7 @@ def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
     bag.add_topic(
         channel.topic,
         schema.name if schema else "",
-        qos=offered_qos(channel.metadata),
+        qos=offered_qos(channel.metadata.get("offered_qos_profiles", "")),
         definition=schema.data.decode("utf-8", "replace") if schema else "",
         type_hash=channel.metadata.get("topic_type_hash", ""),
         encoding=channel.message_encoding,
