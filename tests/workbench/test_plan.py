@@ -31,9 +31,9 @@ def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
     from machine_tool_calibration.workbench.plan import changed_procedure
 
     given = content("tracking_2d")
-    changed = changed_procedure(given, setups=["A", "C"], repeats=3, dwell=2.5, counts={"x": 4})
+    changed = changed_procedure(given, ["A", "C"], 3, 2.5, {"x": 4})
     made = parse_procedure(changed, "changed")
-    usual = parse_procedure(changed_procedure(given), "usual")
+    usual = parse_procedure(procedure_file("tracking_2d").read_text(encoding="utf-8"), "usual")
     assert [setup.id for setup in made.session.setups] == ["A", "C"]
     assert (made.session.repeats, made.motion.dwell) == (3, 2.5)
     assert (made.path.grid["x"].count, made.path.grid["y"].count) == (4, usual.path.grid["y"].count)
@@ -70,7 +70,7 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
     state.opened(hidden)()
     wide = []
     for repeats in (1, 4):
-        text = changed_procedure(content("tracking_2d"), repeats=repeats, counts={"x": 3, "y": 3})
+        text = changed_procedure(content("tracking_2d"), "ABCD", repeats, 1.0, {"x": 3, "y": 3})
         now, then, words = planned(
             state.subject, None, parse_procedure(text, "small"), "rigid_body", 0.0, 0.0, lambda what, share: None
         )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that says what the next measurement would tell, how long it takes, and what it looks like."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -44,31 +44,21 @@ _AXES = ("x", "y", "z", "a", "b", "c")
 
 
 def changed_procedure(
-    content: Mapping[str, Any],
-    *,
-    setups: list[str] | None = None,
-    repeats: int | None = None,
-    dwell: float | None = None,
-    counts: Mapping[str, int] | None = None,
+    content: Mapping[str, Any], setups: Collection[str], repeats: int, dwell: float, counts: Mapping[str, int]
 ) -> str:
-    """The text of a procedure's content with other setups (ids; all if absent), repeats, and time at each target, s.
+    """The text of a procedure's content with other setups (ids), repeats, and time at each target, s.
 
     And with so many targets along each axis of its grid (`counts`); `blocks` of a step diagonal.
     """
-    session = dict(content["session"])
-    if setups is not None:
-        session["setups"] = [one for one in session["setups"] if str(one["id"]) in setups]
-    if repeats is not None:
-        session["repeats"] = repeats
-    out = {**content, "session": session}
-    for name, count in (counts or {}).items():
+    kept = [one for one in content["session"]["setups"] if str(one["id"]) in setups]
+    session = {**content["session"], "setups": kept, "repeats": repeats}
+    out = {**content, "session": session, "motion": {**content.get("motion", {}), "dwell": dwell}}
+    for name, count in counts.items():
         if name == "blocks":
             session["blocks"] = count
         else:
             path = dict(out["path"])
             out["path"] = path | {"grid": path["grid"] | {name: path["grid"][name] | {"count": count}}}
-    if dwell is not None:
-        out["motion"] = {**content.get("motion", {}), "dwell": dwell}
     return yaml.safe_dump(out, sort_keys=False, allow_unicode=True, width=120)
 
 
@@ -145,8 +135,8 @@ class ProcedureForm:
             return
         shown = {name: field.value for name, field in self._counts.items() if field.visible}
         try:
-            chosen = {"setups": list(self._setups.value), "repeats": self._repeats.value, "dwell": self._dwell.value}
-            self.text = changed_procedure(self._content, **chosen, counts=shown)
+            chosen = self._setups.value, self._repeats.value, self._dwell.value
+            self.text = changed_procedure(self._content, *chosen, shown)
             self.procedure()
         except CalibrationError as error:
             self._fail(error)
