@@ -80,8 +80,6 @@ def page(found: Evaluation, own: Certificate, content: Sequence[Section], words:
             software=origin.software,
             footer=told(origin.footer),
             for_paper=for_paper,
-            drawings="",
-            library="",
         )
     except TemplateError as error:
         what = " ".join(str(error).split())

@@ -51,9 +51,6 @@ def write_page(fleet: Machines, book: Path, file: Path, words: Words) -> Path:
         line=words.told(fleet_line(fleet)),
         software=f"{SOFTWARE} {__version__}",
         evaluated=datetime.date.today().isoformat(),
-        for_paper=False,
-        drawings="",
-        library="",
     )
     return save(file, text)
 

@@ -104,6 +104,7 @@ def rendered(template: str, *packages: str | Path, **values: Any) -> str:
     environment = SandboxedEnvironment(
         loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.globals.update(for_paper=False, drawings="", library="")
     environment.tests["picture"] = lambda block: isinstance(block, Picture)
     environment.tests["table"] = lambda block: isinstance(block, TextTable)
     environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
