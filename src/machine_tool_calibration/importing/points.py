@@ -103,6 +103,7 @@ def _centred(points: Array, good: np.ndarray) -> Array:
 
 _AXES = ("x", "y", "z")
 _MEASURED = tuple(f"{what}_{axis}" for what in ("actual", "deviation") for axis in _AXES)
+_POLAR = ("range", "azimuth", "bearing", "elevation", "zenith")
 
 
 def point_rows(columns: Columns, name: str) -> Rows:
@@ -126,7 +127,7 @@ def point_rows(columns: Columns, name: str) -> Rows:
         raise SessionError(f"{table.where(empty)}: the nominal coordinate is empty")
     row = np.repeat(np.arange(n), k)
     numbers: dict[str, Array] = {_AXES[j]: (nominal[:, j] + origin[j])[row] for j in axes}
-    taken = (*_AXES, *_MEASURED, "range", "azimuth", "bearing", "elevation", "zenith")
+    taken = (*_AXES, *_MEASURED, *_POLAR)
     numbers |= {role: values[row] for role, values in columns.others(taken).items()}
     direction = np.tile(np.eye(3)[sensed], (n, 1))
     numbers |= {f"g{axis}": direction[:, j] for j, axis in enumerate(_AXES)}
@@ -205,7 +206,7 @@ def _aligned(columns: Columns, measured: Array, nominal: Array, setups: np.ndarr
 
 
 _ACTUAL = ("actual_x", "actual_y", "actual_z")
-_NOT_KEPT = (*_ACTUAL, "range", "azimuth", "bearing", "elevation", "zenith", "repeat", "time")
+_NOT_KEPT = (*_ACTUAL, *_POLAR, "repeat", "time")
 
 
 def range_rows(columns: Columns) -> Rows:
