@@ -30,12 +30,13 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _copied, _beside, _recorded_before, _repeated, _approached, _of_method)
-    return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
-
-
-def _of_method(session: Session) -> Iterator[str]:
-    yield from spec_of(session).suspicious(session)
+    checks = (_still, _rounded, _copied, _beside, _recorded_before, _repeated, _approached)
+    return [
+        together((name, words), "")
+        for name, session in pairs
+        for check in (*checks, spec_of(session).suspicious)
+        for words in check(session)
+    ]
 
 
 def _still(session: Session) -> Iterator[str]:

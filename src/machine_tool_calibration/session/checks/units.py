@@ -65,7 +65,7 @@ def _travel(session: Session, place: Place) -> None:
 
 def _positions(session: Session, place: Place) -> None:
     for axis, value, where in _largest(session, place, "xyz"):
-        bounds, reach = _bounds(session, axis), abs(value)
+        bounds, reach = session.description.machine.travel.get(axis), abs(value)
         travel = None if bounds is None else max(map(abs, bounds))
         if travel is not None and reach > _THOUSAND * travel:
             raise SessionError(f"{where}: {axis} is {value:g} m and the travel ends at {travel:g} m; {MILLIMETRES}")
@@ -138,7 +138,7 @@ def _like_places(session: Session, typical: float) -> str | None:
     """The axis whose column has deviations, where the displacements, of that size in the middle, are its places."""
     values = session.readings.displacement
     for axis in "xyz":
-        position, bounds = session.readings.columns.get(axis), _bounds(session, axis)
+        position, bounds = session.readings.columns.get(axis), session.description.machine.travel.get(axis)
         if position is None or bounds is None or not np.ptp(position):
             continue
         slack = 0.05 * (bounds[1] - bounds[0])
@@ -171,10 +171,6 @@ def _environment(session: Session, place: Place) -> None:
             raise SessionError(f"{there}: air_pressure is {low:g} Pa; these look like {unit}")
         if name == "relative_humidity" and abs(value) > _SATURATED:
             raise SessionError(f"{where}: relative_humidity is {value:g}; these look like percent; it is from 0 to 1")
-
-
-def _bounds(session: Session, axis: str) -> tuple[float, float] | None:
-    return session.description.machine.travel.get(axis)
 
 
 def _largest(session: Session, place: Place, names: Iterable[str]) -> Iterator[tuple[str, float, str]]:
