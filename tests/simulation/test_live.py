@@ -70,12 +70,12 @@ def test_live_readings_are_those_of_the_session():
         )
         station = np.array(simulated.truth.expected["stations"])[setup]
         azimuth = column["azimuth"][row]
-        origin, direction = live.beam(now, plan, azimuth, 0.0, station)
+        disturbance, turned = live.disturbance(now), np.array([azimuth])
+        origin, direction = plan.beam(turned, np.zeros(1), station + disturbance.station, disturbance.turn)
         length = sensed_path(live.functional_point(now), origin, direction)
         first.setdefault(setup, length[0])
-        turned = np.array([azimuth])
         sight = Sight(length, direction, turned, incidence=turned, change=length - first[setup])
-        path.append(float((length + live.disturbance(now).added(sight))[0]))
+        path.append(float((length + disturbance.added(sight))[0]))
     path = np.array(path)
     begin = np.unique(session.readings.setup, return_index=True)[1]
     np.testing.assert_allclose(path - path[begin][session.readings.setup], session.readings.displacement, atol=1e-14)

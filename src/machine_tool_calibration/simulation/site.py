@@ -94,14 +94,6 @@ class LiveMachine:
         """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""
         return self.disturbance(scene).on_table(self.machine, point, scene.angle, scene.axis)
 
-    def beam(
-        self, scene: Scene, pointer: Pointer, azimuth: Array | float, elevation: Array | float, station: Array
-    ) -> tuple[Array, Array]:
-        """(n, 3) origin, m, and (n, 3) direction of the beam that is commanded to an azimuth and elevation, rad."""
-        n, disturbance = len(scene), self.disturbance(scene)
-        flat, up = np.broadcast_to(azimuth, n), np.broadcast_to(elevation, n)
-        return pointer.beam(flat, up, station + disturbance.station, disturbance.turn)
-
 
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
@@ -242,7 +234,8 @@ class Site(LiveMachine):
 
     def true_beam(self, moment: Scene, azimuth: float, elevation: float, station: Array) -> Beam:
         """The beam for commanded angles, rad, of the pointer whose true rotation centre is at a station (3,)."""
-        origin, direction = self.beam(moment, self.spec.pointer, azimuth, elevation, station)
+        disturbance, flat, up = self.disturbance(moment), np.array([azimuth]), np.array([elevation])
+        origin, direction = self.spec.pointer.beam(flat, up, station + disturbance.station, disturbance.turn)
         return Beam(origin[0], direction[0])
 
 
