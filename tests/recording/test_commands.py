@@ -178,6 +178,29 @@ def test_lists_of_messages_and_unnamed_samples_become_columns(tmp_path: Path) ->
     assert pd.read_csv(files["/samples"])["data"].tolist() == [1.5, 2.5]
 
 
+def test_a_message_is_told_as_deep_as_its_type_goes(tmp_path: Path) -> None:
+    header = part("std_msgs/msg/Header", part("builtin_interfaces/msg/Time", 7, 5), "machine")
+    place, turn = (
+        part("geometry_msgs/msg/Point", 1.5, 2.5, 3.5),
+        part("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0),
+    )
+    pose, size = part("geometry_msgs/msg/Pose", place, turn), part("geometry_msgs/msg/Vector3", 1.0, 1.0, 1.0)
+    color, life = part("std_msgs/msg/ColorRGBA", 0.0, 0.0, 0.0, 1.0), part("builtin_interfaces/msg/Duration", 0, 0)
+    image = part("sensor_msgs/msg/CompressedImage", header, "", np.zeros(0, dtype=np.uint8))
+    file = part("visualization_msgs/msg/MeshFile", "", np.zeros(0, dtype=np.uint8))
+    look = ([], [], "", image, [], "", "", file, False)
+    marker = part("visualization_msgs/msg/Marker", header, "", 0, 0, 0, pose, size, color, life, False, *look)
+    control = part("visualization_msgs/msg/InteractiveMarkerControl", "", turn, 0, 0, True, [marker], False, "")
+    whole = part("visualization_msgs/msg/InteractiveMarker", header, pose, "", "", 1.0, [], [control])
+    update = "visualization_msgs/msg/InteractiveMarkerUpdate"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/markers", update)
+        bag.write("/markers", encode(update, "server", 1, 0, [whole], [], []), 10)
+    files, _ = save_tables(BagReader(tmp_path / "bag"), tmp_path / "tables", "csv")
+    (told,) = json.loads(pd.read_csv(files["/markers"])["markers"][0])
+    assert told["controls"][0]["markers"][0]["pose"]["position"] == {"x": 1.5, "y": 2.5, "z": 3.5}
+
+
 def test_tables_are_not_written_among_other_files(session_bag: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("kept")
     for folder, said in ((tmp_path, "is not empty"), (tmp_path / "file", "cannot be made: File exists")):

@@ -21,7 +21,6 @@ from machine_tool_calibration.session.csv_text import write_csv
 
 _ROWS = 50_000  # rows that are kept in memory
 _BATCHES = 100  # batches of samples that are in one piece anyway
-_DEPTH = 8
 
 
 def tables(bag: BagReader, topic: Topic, seen: Callable[[int], object] = lambda _: None) -> Iterator[pd.DataFrame]:
@@ -121,7 +120,7 @@ def _free(name: str, taken: Collection[str]) -> str:
 def _any(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     row = _times(message)
     content: dict[str, Any] = {}
-    _fields(bag.decode(message), "", content, 0)
+    _fields(bag.decode(message), "", content)
     if not row.keys().isdisjoint(content):
         content = {_free(name, row): value for name, value in content.items()}
     return [{**row, **content}]
@@ -136,30 +135,20 @@ def _field_names(kind: type) -> tuple[str, ...]:
     return tuple(f.name for f in fields(kind) if not (f.name.startswith("_") or str(f.type).startswith("ClassVar")))
 
 
-def _fields(value: Any, name: str, row: dict[str, Any], depth: int) -> None:
-    names = _field_names(value.__class__) if depth < _DEPTH else ()
-    if names:
+def _fields(value: Any, name: str, row: dict[str, Any]) -> None:
+    if names := _field_names(value.__class__):
         for field in names:
-            _fields(getattr(value, field), f"{name}.{field}" if name else field, row, depth + 1)
-    elif isinstance(value, list | np.ndarray | tuple):
-        row[name] = json.dumps(_plain(value, depth), ensure_ascii=False)
-    elif isinstance(value, bytes | bytearray):
-        row[name] = value.hex()
+            _fields(getattr(value, field), f"{name}.{field}" if name else field, row)
     else:
-        row[name] = value
+        row[name] = json.dumps(_plain(value), ensure_ascii=False) if isinstance(value, list | np.ndarray) else value
 
 
-def _plain(value: Any, depth: int) -> Any:
-    if isinstance(value, np.ndarray):
-        return [_plain(entry, depth + 1) for entry in value.tolist()]
-    if isinstance(value, list | tuple):
-        return [_plain(entry, depth + 1) for entry in value]
+def _plain(value: Any) -> Any:
+    if isinstance(value, list | np.ndarray):
+        return [_plain(entry) for entry in (value if isinstance(value, list) else value.tolist())]
     if is_dataclass(value):
-        names = _field_names(value.__class__)
-        return {name: _plain(getattr(value, name), depth + 1) for name in names} if depth < _DEPTH else None
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value.hex() if isinstance(value, bytes | bytearray) else value
+        return {name: _plain(getattr(value, name)) for name in _field_names(value.__class__)}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def file_name(topic: str) -> str:
