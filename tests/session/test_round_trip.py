@@ -12,6 +12,7 @@ from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
+from machine_tool_calibration.session.text import load_yaml, yaml_text
 from machine_tool_calibration.simulation import SimulationSpec, simulate
 from machine_tool_calibration.simulation.spec import PLANS
 
@@ -158,3 +159,8 @@ def test_any_description_comes_back(
         }
     )
     assert parse_description(description_yaml(changed), "session.yaml") == changed
+
+
+def test_text_that_looks_like_a_number_comes_back_as_text():
+    content = {"feature": "1e5", "features": ["2e3", "007", "-.5e1", "3.10"], "size": 1e-7, "count": 3}
+    assert load_yaml(yaml_text(content), "content").value == content

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,7 +20,7 @@ from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import micrometres, of_map, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, table
 from machine_tool_calibration.session.record import validated
-from machine_tool_calibration.session.text import LARGEST_TABLE, read_yaml
+from machine_tool_calibration.session.text import LARGEST_TABLE, PlainDumper, read_yaml
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
@@ -117,17 +116,9 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-class _Dumper(yaml.SafeDumper):
-    """Quotes whatever a reader of YAML 1.2 would take for a number."""
-
-
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
-_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, list("-+.0123456789"))
-
-
 def _write(path: Path, history: History) -> None:
     content = history.model_dump(mode="json")
-    text = _HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
+    text = _HEAD + yaml.dump(content, Dumper=PlainDumper, sort_keys=False, width=120, allow_unicode=True)
     with whole(path, SessionError) as part, part.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()

@@ -250,11 +250,14 @@ def read_yaml(path: Path, limit: int = LARGEST) -> Document:
 
 
 class PlainDumper(yaml.SafeDumper):
-    """Writes what is there twice in full, not as an alias."""
+    """Writes what is there twice in full, not as an alias, and in quotes the text that would be read as a number."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Whatever it is."""
         return True
+
+
+PlainDumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(f"{_FLOAT.pattern}$"), list("-+.0123456789"))
 
 
 def yaml_text(content: Any, dumper: type[PlainDumper] = PlainDumper, width: int = 120) -> str:
