@@ -58,10 +58,7 @@ def page(found: Evaluation, own: Certificate, content: Sequence[Section], words:
     """The certificate as an HTML page that holds all it needs; a CalibrationError for a template that is none."""
     from jinja2 import TemplateError
 
-    def told(text: str) -> str:
-        return words.numbers(words.told(text))
-
-    origin, lacking = found.result.provenance, missing(own, found)
+    origin, lacking, told = found.result.provenance, missing(own, found), words.numbers
     own_file = Path(own.template) if own.template else None
     if own_file is not None and own_file.name in (TEMPLATE, "report.html"):
         raise CalibrationError(f"{own_file}: a template that extends {TEMPLATE} needs another name")

@@ -125,7 +125,7 @@ def _translate(figure: Figure, words: Words) -> None:
     keys = [key.text for key in figure.findobj(QuiverKey) if isinstance(key, QuiverKey)]
     for text in (*figure.findobj(Text), *keys):
         assert isinstance(text, Text)
-        text.set_text(words.numbers(words.told(text.get_text())))
+        text.set_text(words.numbers(text.get_text()))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         # Names of places are written anew whenever the figure is drawn.
         said = [label.get_text() for label in axis.get_majorticklabels()]

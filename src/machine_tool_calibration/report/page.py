@@ -81,7 +81,7 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         sections=content,
         software=origin.software,
         evaluated=words.numbers(origin.evaluated[:10]),
-        footer=words.numbers(words.told(origin.footer)),
+        footer=words.numbers(origin.footer),
         machine=", ".join(dict.fromkeys(name for name in machines if name)),
         measured=words.numbers(", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured))),
         for_paper=for_paper,

@@ -92,13 +92,13 @@ def sections(found: Evaluation, words: Words, only: Container[str] | None = None
 def in_language(block: Block, words: Words) -> Block:
     """A block in the report's language; of a table the columns in which there is anything."""
     if isinstance(block, str):
-        return words.numbers(words.told(block))
+        return words.numbers(block)
     if isinstance(block, figures.Picture):
         return figures.told(block, words)
     if not isinstance(block, TextTable):
         return block
     table = block.filled()
-    title, note = (words.numbers(words.told(text)) for text in (table.title, table.note))
+    title, note = map(words.numbers, (table.title, table.note))
     rows = tuple(tuple(_cell(text, words) for text in row) for row in table.rows)
     return TextTable(title, tuple(map(words.told, table.columns)), rows, note)
 

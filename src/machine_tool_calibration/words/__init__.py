@@ -124,8 +124,8 @@ class Words:
         return text.told(self) if isinstance(text, Said) else text
 
     def numbers(self, text: str) -> str:
-        """A text with the language's dates and decimal sign, and semicolons between numbers where that is a comma."""
-        sign = self("report.decimal")
+        """A text told, with the language's dates and decimal sign, semicolons between numbers where that is a comma."""
+        text, sign = self.told(text), self("report.decimal")
         if sign == "." or isinstance(text, Verbatim):
             return text
         if _DECIMAL.search(text):
