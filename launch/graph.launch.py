@@ -11,7 +11,6 @@ launch ends with the first node that the measurement cannot do without, with sta
 
 from pathlib import Path
 
-import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
@@ -22,6 +21,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.graph import graph_parameters, managed_nodes, refuse_unknown, switches
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.session.text import yaml_text
 from machine_tool_calibration.simulation.site import read_site
 
 CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
@@ -61,7 +61,7 @@ def nodes(context):
     measured = read_procedure(procedure)
     # the machine's chain and travel are the procedure's; what was simulated stays with the logs of the launch
     site = Path(launch_config.log_dir, "site.yaml")
-    site.write_text(yaml.safe_dump(site_document(measured, read_site(given["site"])), sort_keys=False))
+    site.write_text(yaml_text(site_document(measured, read_site(given["site"]))))
     parameters = graph_parameters(
         measured.session.method,
         procedure,

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
@@ -33,6 +32,7 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.text import yaml_text
 from machine_tool_calibration.simulation.site import SiteSpec
 
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
@@ -219,7 +219,7 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
     setting.output.mkdir(parents=True, exist_ok=True)
     copy, site = setting.output / "procedure.yaml", setting.output / "site.yaml"
     shutil.copyfile(file, copy)
-    site.write_text(yaml.safe_dump(site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
+    site.write_text(yaml_text(site_document(procedure, setting.site)), encoding="utf-8")
     parameters = graph_parameters(
         procedure.session.method,
         copy.resolve(),

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import panel as pn
-import yaml
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.errors import CalibrationError
@@ -25,7 +24,7 @@ from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.session.text import read_text, read_yaml
+from machine_tool_calibration.session.text import read_text, read_yaml, yaml_text
 from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.models import planned
 from machine_tool_calibration.workbench.readings import Readings
@@ -59,7 +58,7 @@ def changed_procedure(
         else:
             path = dict(out["path"])
             out["path"] = path | {"grid": path["grid"] | {name: path["grid"][name] | {"count": count}}}
-    return yaml.safe_dump(out, sort_keys=False, allow_unicode=True, width=120)
+    return yaml_text(out)
 
 
 def _counts(content: Mapping[str, Any]) -> dict[str, int]:
