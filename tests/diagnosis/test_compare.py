@@ -62,6 +62,7 @@ def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
             assert share.slope == pytest.approx(slope, rel=1e-3, abs=1e-3 * share.slope_u)
 
 
+@pytest.mark.long(but=("tracking_2d", "rotary_axis"))
 @pytest.mark.parametrize("plan", PLANS)
 def test_every_reading_has_a_scatter_of_one_if_the_model_is_right(plan: str) -> None:
     squares, free = [], 0

@@ -418,6 +418,7 @@ def axis_both_ways(cycles: int, seed: int, drift: float = 0.0, half_width: float
     return plates.session(columns, 5e-7, "none", ["EXX"], at // 62, repeats=cycles)
 
 
+@pytest.mark.long(but=("4",))
 @pytest.mark.parametrize("cycles", [2, 4])
 def test_a_drift_without_times_is_no_reversal(cycles: int) -> None:
     """It goes with the order of all readings, which a reversal does not."""

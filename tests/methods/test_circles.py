@@ -275,7 +275,7 @@ def test_readings_that_a_filter_has_smoothed_have_no_other_cause(hidden: tuple[s
 
 
 def test_without_times_no_vibration_is_looked_for() -> None:
-    excluded = diagnose(Circles("XY").session()).excluded
+    excluded = diagnose(Circles("XY", count=40).session()).excluded
     assert "time was not recorded" in excluded["vibration_x"]
 
 
@@ -417,6 +417,7 @@ def simulated_circles(seed: int, *flaws: FlawSpec, feeds: bool = True) -> Sessio
     return replace(session, description=session.description.model_copy(update={"setups": setups}))
 
 
+@pytest.mark.long(but=("3e-06",))
 @pytest.mark.parametrize("size", [3e-6, 12e-6])
 def test_spikes_of_circles_that_were_read_on_the_move_are_no_gross_errors(size: float) -> None:
     """At another feed the readings are tens of micrometres beside those of the first."""

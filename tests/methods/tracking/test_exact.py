@@ -29,6 +29,7 @@ def test_map_and_stations(dimension, pointing, model, simulated, truth):
     assert result.not_determined == ([] if model == "free" else list(result.fit.model.left_out))
 
 
+@pytest.mark.long(but=("2-open_loop", "3-tracking"))
 @pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_stations_wrong_by_a_millimetre(dimension, pointing, simulated, truth):
