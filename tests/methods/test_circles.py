@@ -279,6 +279,15 @@ def test_without_times_no_vibration_is_looked_for() -> None:
     assert "time was not recorded" in excluded["vibration_x"]
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_wave_of_an_unusual_lead_is_found_in_a_circle(seed: int) -> None:
+    """3.7 mm is none of the usual leads, and each reading of a circle senses the axis by a share of its own."""
+    flaw = FlawSpec(id="pitch_periodic_x", size=1.2e-6, parameters={"lead": 3.7e-3})
+    session = simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=seed, effects=(flaw,))).session
+    assert diagnose(session).accepted == ("pitch_periodic_x",)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -80,7 +80,8 @@ class PitchPeriodic(AxisEffect):
         readings, along = observations.readings, self.along(observations)
         x, seen = readings.column(self.axis), readings.displacement * along * self.sign(observations)
         sense = readings.columns.get(f"dir_{self.axis}", np.zeros(len(x)))
-        group = groups(observations.run, sense, along)
+        # On a circle every reading has a direction of its own: those of one sense along the axis are a group.
+        group = groups(observations.run, sense, np.round(along))
         for mine in (group == g for g in range(int(group.max()) + 1)):
             places = len(np.unique(np.round(x[mine], 6)))
             slow = np.polynomial.Polynomial.fit(x[mine], seen[mine], min(_DEGREE, places // 4))
