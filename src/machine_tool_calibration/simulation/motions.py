@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 
 _SHORTEST = 1e-12  # m or rad, between two nodes
@@ -78,11 +78,16 @@ class Table:
 
     def __call__(self, position: Array | float) -> Array:
         """The motion at positions of the axis."""
-        x = np.asarray(position, float)
-        low, high = self.nodes[0], self.nodes[-1]
-        x = low + np.mod(x - low, high - low) if self.interpolation == "periodic" else np.clip(x, low, high)
         nodes = np.asarray(self.nodes, float)
+        x = _within(nodes, self.interpolation, np.asarray(position, float))
         return np.asarray(_value(nodes, _pieces(nodes, np.array([self.values]).T, self.interpolation), x)[..., 0])
+
+
+def _within(nodes: Array, interpolation: Interpolation, x: Array) -> Array:
+    """Positions (…) between the first node and the last, at which a motion has the value that it has there."""
+    low, high = nodes[0], nodes[-1]
+    inside = low + np.mod(x - low, high - low) if interpolation == "periodic" else np.minimum(np.maximum(x, low), high)
+    return np.asarray(inside)
 
 
 def _pieces(nodes: Array, values: Array, interpolation: Interpolation) -> Array:
@@ -132,46 +137,26 @@ class AxisMotion:
             raise ModelError(f"the error motions of {self.axis} mix periodic and other tables")
 
     @cached_property
-    def _merged(self) -> tuple[Array, Array]:
-        """One set of breakpoints for all motions, so that one look-up gives all six, and the pieces between them."""
-        if not self.tables:
-            return np.array([0.0, 1.0]), np.zeros((4, 1, 6))
-        breaks = np.unique(np.concatenate([table.nodes for _, table in self.tables]))
-        start = breaks[:-1]
-        merged = np.zeros((4, len(start), 6))
-        alike: dict[tuple[object, ...], list[tuple[int, Table]]] = {}
+    def _alike(self) -> list[tuple[Array, Interpolation, Array, IntArray]]:
+        """Nodes, interpolation, pieces and places among the six motions of tables that have both in common."""
+        alike: dict[tuple[tuple[float, ...], Interpolation], list[tuple[int, tuple[float, ...]]]] = {}
         for name, table in self.tables:
-            alike.setdefault((table.nodes, table.interpolation), []).append((COMPONENTS.index(name[:2]), table))
-        for group in alike.values():
-            columns, table = [column for column, _ in group], group[0][1]
-            values = np.array([member.values for _, member in group]).T
-            nodes = np.asarray(table.nodes, float)
-            pieces = _pieces(nodes, values, table.interpolation)
-            index = np.clip(np.searchsorted(nodes, start, side="right") - 1, 0, len(nodes) - 2)
-            cube, square, first, _ = pieces[:, index]
-            step = (start - nodes[index])[:, None]
-            inside = ((start >= nodes[0]) & (start < nodes[-1]))[:, None]
-            ends = np.where(start[:, None] < nodes[0], values[0], values[-1])
-            parts: tuple[Array, ...] = (
-                np.where(inside, cube, 0.0),
-                np.where(inside, square + 3.0 * cube * step, 0.0),
-                np.where(inside, first + (2.0 * square + 3.0 * cube * step) * step, 0.0),
-                np.where(inside, _value(nodes, pieces, start), ends),
-            )
-            for place, column in enumerate(columns):  # of two tables of one name, too
-                for order, part in enumerate(parts):
-                    merged[order, :, column] += part[:, place]
-        return breaks, merged
+            place = COMPONENTS.index(name[:2])
+            alike.setdefault((table.nodes, table.interpolation), []).append((place, table.values))
+        out = []
+        for (nodes, interpolation), each in alike.items():
+            places, values = zip(*each, strict=True)
+            at = np.asarray(nodes, float)
+            out.append((at, interpolation, _pieces(at, np.array(values).T, interpolation), np.array(places)))
+        return out
 
     def __call__(self, position: Array) -> Array:
         """(n, 6) EX, EY, EZ (m) and EA, EB, EC (rad) at positions (n,), m or rad."""
-        breaks, pieces = self._merged
-        low, high = breaks[0], breaks[-1]
-        if any(table.interpolation == "periodic" for _, table in self.tables):
-            x = low + np.mod(position - low, high - low)
-        else:
-            x = np.minimum(np.maximum(position, low), high)
-        return _value(breaks, pieces, x)
+        out = np.zeros((len(position), 6))
+        for nodes, interpolation, pieces, places in self._alike:
+            value = _value(nodes, pieces, _within(nodes, interpolation, position))
+            np.add.at(out.T, places, value.T)  # of two tables of one name, too
+        return out
 
 
 def summed(one: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
