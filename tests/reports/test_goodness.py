@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the model that takes no axes for rigid is recommended."""
 
-from machine_tool_calibration.reports.goodness import free_words
+import numpy as np
+import pytest
+
+from machine_tool_calibration.reports.goodness import free_words, vague_words
 
 from ..told import keys
 
@@ -23,3 +26,13 @@ def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes(
     # Each axis moved once, and there is a value for each place.
     once = {**content, "points": [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]], "tables": {"EXX": {"value_u": [0.0, 1e-6, 1e-6]}}}
     assert not list(free_words({**document, "error_map": once}))
+
+
+@pytest.mark.parametrize(("u", "told"), [(4e-4, []), (2.15e-2, ["43.0 mm"]), (np.nan, [])])
+def test_a_map_with_an_uncertainty_of_the_size_of_a_machine_is_said_to_be_hardly_determined(
+    u: float, told: list[str]
+) -> None:
+    content = {"points": [[0.0, 0.0], [0.4, 0.3]], "position_error_u": [[1e-6, None], [u, 2e-6]]}
+    words = list(vague_words(content))
+    assert [size for size in told if f"up to {size}, of places 400 mm apart" in words[0]] == told
+    assert len(words) == len(told) and not list(vague_words({}))

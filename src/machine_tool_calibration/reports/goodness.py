@@ -25,6 +25,8 @@ from machine_tool_calibration.words import Said, Verbatim, say, together
 
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
+# Share of the places' extent from which an expanded uncertainty tells nothing of a machine.
+_VAGUE = 0.01
 
 
 def fit_words(reduced_chi_square: float, p_value: float) -> Said:
@@ -94,6 +96,16 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
     nodes = min((len(table["nodes"]) for table in tables if "nodes" in table), default=places)
     if nodes < places < document["used"]:
         yield say("fit.free_nodes", nodes=nodes, places=places)
+
+
+def vague_words(content: Mapping[str, Any]) -> Iterator[Said]:
+    """That a map is hardly determined somewhere: its U is of the size of a machine, and not of one's errors."""
+    u = np.array(content.get("position_error_u", ()), dtype=float)
+    places = np.array(content.get("points", content.get("grid", ())), dtype=float)
+    if len(places) and np.isfinite(u).any():
+        largest, extent = K * float(np.nanmax(u)), float(np.ptp(places, axis=0).max())
+        if largest > _VAGUE * extent > 0.0:
+            yield say("fit.vague", U=quantity(largest, "m"), extent=f"{1e3 * extent:.4g} mm")
 
 
 def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
