@@ -13,6 +13,9 @@ BoolArray = npt.NDArray[np.bool_]
 HALF_WIDTHS: dict[str, float] = {"rectangular": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
 """Half width over standard deviation of the distributions that have ends."""
 
+NORMAL_MEDIAN = 0.6745
+"""Median of the size of a normal number, in standard deviations."""
+
 _LARGEST_CODE = 2**62  # of a group's keys: below what an int64 holds
 _NO_RANGE = 1e-12  # of values that are equal but for rounding, m or s
 

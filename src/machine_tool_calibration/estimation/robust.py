@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Part, PartAround, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
@@ -160,7 +160,7 @@ def _at_one_place(
         own = list(local_steps(weighted, theta, local, step))
         residuals = [scaled_residuals(part, here, points) for part, points in zip(plain, own, strict=True)]
         size = np.abs(np.concatenate(residuals))
-        scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), _LEAST_SCALE)
+        scale = max(float(np.median(size)) / (NORMAL_MEDIAN * np.sqrt(spare)), _LEAST_SCALE)
         weights = [_weight(np.maximum(np.abs(r), 1e-12) / scale) for r in residuals]
         if abs(scale - last) < _REST * scale:
             break

@@ -17,7 +17,7 @@ from math import comb
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
 
@@ -64,7 +64,7 @@ def bulk_of(size: Array, redundancy: float, least: float, explained: BoolArray |
         scale, tails = _scale_and_tails(size[inside], redundancy)
         scale = max(scale, least)
         beyond = single[single > priors.SUSPECTED * scale] / scale
-        width = max(priors.WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else priors.WIDTH
+        width = max(priors.WIDTH, float(np.median(beyond)) / NORMAL_MEDIAN) if len(beyond) else priors.WIDTH
         count = 0
         while (more := int(np.sum(beyond > (limit := _limit(tails, redundancy, width, count, len(size)))))) > count:
             count = more
@@ -107,7 +107,7 @@ def _scale_and_tails(size: Array, redundancy: float) -> tuple[float, Array]:
     if len(ordered) > LOOKED_AT:
         ordered = ordered[np.linspace(0, len(ordered) - 1, LOOKED_AT).astype(int)]
     inside = max(int(priors.BULK * len(ordered)), 1)
-    middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
+    middle = max(float(np.median(ordered)) / NORMAL_MEDIAN, _ROUNDING)
     scales = np.exp(np.linspace(-0.5, 0.5, 41))
     within = ordered[None, :inside] / middle / scales[:, None]
     best, evidence = [], []

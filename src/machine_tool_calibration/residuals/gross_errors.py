@@ -23,7 +23,7 @@ from typing import Self
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rms
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
@@ -308,7 +308,7 @@ class _Search:
         axes = [np.flatnonzero(self.along == axis) for axis in np.unique(self.along)] if self.along is not None else []
         axes = [mine for mine in axes if len(mine) >= priors.TELLS_SCATTER]
         middle = np.array([np.median(np.abs(off[mine])) for mine in axes])
-        ratio = middle / max(float(middle.min(initial=np.inf)), 0.6745)
+        ratio = middle / max(float(middle.min(initial=np.inf)), NORMAL_MEDIAN)
         if not (ratio > priors.OWN_SCATTER).any():
             return np.zeros(0)
         out = np.ones(self.n)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, groups
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.methods.ball_bar.circle import angles, arms, travel_sense
 from machine_tool_calibration.model.fit import Fit
@@ -27,8 +27,8 @@ _NOTHING = 1e-12
 WAYS: Mapping[str, float] = {"ccw": 1.0, "cw": -1.0}
 """Ways round, and their sense."""
 
-# Readings of a run of which second differences tell the noise; median of the absolute value of normal noise of size 1.
-_TELLING, _NORMAL_MEDIAN = 12, 0.6745
+# Readings of a run of which second differences tell the noise.
+_TELLING = 12
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _noise(seen: Observations, sense: Array, radial: Array) -> Array:
     out = np.full(len(radial), np.inf)
     for mine in (np.flatnonzero(run == one) for one in np.unique(run)):
         if len(mine) >= _TELLING:
-            bent = np.median(np.abs(np.diff(radial[mine], 2))) / (_NORMAL_MEDIAN * np.sqrt(6.0))
+            bent = np.median(np.abs(np.diff(radial[mine], 2))) / (NORMAL_MEDIAN * np.sqrt(6.0))
             out[mine] = np.maximum(bent, seen.session.sigma)
     return out
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -57,7 +57,7 @@ def refuse_mistakes(session: Session, build: Build) -> None:
 def _judgements(session: Session, build: Build, extent: float) -> Iterator[Judgement]:
     # Single readings may be off by anything: the bulk counts.
     reading = session.readings.displacement
-    spread = 1.4826 * float(np.nanmedian(np.abs(reading - np.nanmedian(reading))))
+    spread = float(np.nanmedian(np.abs(reading - np.nanmedian(reading)))) / NORMAL_MEDIAN
     if spread < max(_WRECK * extent, _PLAUSIBLE_DEVIATION):
         return
     along = float(np.std(_along(session)))

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, rms
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, groups, rms
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rounding import rounding_of
 
 # Component of a direction from which it is along an axis.
 _ALONG = 0.99
-# Standard deviations from which a deviation is far out, the mean of the squares of normal numbers none of which counts
-# as farther, and the median of their size.
-_FAR, _NEAR, _MEDIAN = 2.5, 0.9776, 0.6745
+# Standard deviations from which a deviation is far out, and the mean of the squares of normal numbers none of which
+# counts as farther.
+_FAR, _NEAR = 2.5, 0.9776
 # Standard deviations, by the median, from which a reading is no noise: of three the middle one leaves nothing, so that
 # the median is too small.
 _NO_NOISE = 10.0
@@ -118,7 +118,7 @@ def _sound(observations: Observations, group: IntArray, least: Array) -> BoolArr
     size = np.abs(values - _medians(place, values)[place])
     again = np.bincount(place)[place] > 1
     typical = _medians(group[again], size[again]) if again.any() else np.zeros(0)
-    scale = np.pad(typical, (0, 1 + int(group.max()) - len(typical))) / _MEDIAN
+    scale = np.pad(typical, (0, 1 + int(group.max()) - len(typical))) / NORMAL_MEDIAN
     return np.asarray(~again | (size <= _NO_NOISE * np.maximum(scale[group], least)))
 
 
@@ -154,5 +154,5 @@ def _of_groups(deviation: Array, left: Array, group: IntArray, least: Array) -> 
 def _squares(deviation: Sequence[float] | Array, least: float) -> float:
     """Sum of squares of deviations of which those far out count as if they were nearer."""
     size = np.abs(np.asarray(deviation))
-    far = _FAR * max(float(np.median(size)) / _MEDIAN, least) if len(size) else 0.0
+    far = _FAR * max(float(np.median(size)) / NORMAL_MEDIAN, least) if len(size) else 0.0
     return float(np.sum(np.minimum(size, far) ** 2)) / _NEAR

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array, IntArray, best_motion, group_ranges
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, IntArray, best_motion, group_ranges
 from machine_tool_calibration.errors import ModelError, SessionError, suspected
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
 from machine_tool_calibration.methods.rotary_axis.spec import turning_mistakes
@@ -128,7 +128,7 @@ def _fitted(
     weight = np.minimum(1.0, _WILD * usual / np.maximum(off, 1e-12)) ** 2
     for _ in range(_REWEIGHTED):
         x, left = _weighted(table, stations, targets, within, x, weight)
-        scale = max(float(np.median(np.abs(left))) / 0.6745, 1e-9)
+        scale = max(float(np.median(np.abs(left))) / NORMAL_MEDIAN, 1e-9)
         if not resisting and not (np.abs(left) > _WILD * scale).any() and (weight == 1.0).all():
             break
         before, weight = weight, np.minimum(1.0, _TUNING * scale / np.maximum(np.abs(left), 1e-12))
