@@ -280,12 +280,14 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
 def unbounded(fit: JointFit, effect: Effect) -> list[str]:
     """Nonlinear coefficients of an effect in the fit that come out impossible, or less certain than they are large."""
     wanted = {f"{effect.id}.{s.name}" for s in effect.shapes if not s.discrete}
-    # As they are published: what does not reproduce is in their uncertainty, too.
-    published, out = fit.published, []
+    # By least squares, and as they are published: with what does not reproduce, and what is known of effects' sizes.
+    ways, out = ((fit.solution, fit.birge_ratio), (fit.published, 1.0)), []
     for k, parameter in enumerate(fit.assembly.parameters):
         if parameter.name in wanted:
-            moved, u = float(published.theta[k]), float(published.covariance[k, k]) ** 0.5
-            found = parameter.reference + moved
-            if not published.determined[k] or found <= u or abs(moved) > abs(parameter.reference):
+            moved = [float(solution.theta[k]) for solution, _ in ways]
+            u = [scatter * float(solution.covariance[k, k]) ** 0.5 for solution, scatter in ways]
+            known = zip(moved, u, strict=True)
+            sure = all(parameter.reference + m > s and abs(m) <= abs(parameter.reference) for m, s in known)
+            if not (fit.solution.determined[k] and sure):
                 out.append(parameter.name)
     return out

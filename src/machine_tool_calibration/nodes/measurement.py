@@ -251,7 +251,7 @@ def _refuse_company(client: Client, names: Sequence[str], domain: int) -> None:
         return [name for name in names if client.has_node(name)]
 
     def gone() -> bool:  # what was killed is known for a while, and says nothing
-        return not there() or any(client.heard.said(name).at for name in names)
+        return not there() or bool(client.heard.nodes())
 
     if client.wait(lambda: bool(there()), _DISCOVERED) and not (client.wait(gone, _FORGOTTEN) and not there()):
         where = f"{client.node.get_namespace().rstrip('/')}/{there()[0]}"
