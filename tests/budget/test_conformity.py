@@ -253,6 +253,13 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     assert [v.decision for v in found.each] == ["undecided", "undecided", "pass", "not determined"]
 
 
+def test_of_one_run_in_each_direction_the_motion_is_judged_by_its_values(reproducible: None) -> None:
+    """M has no uncertainty then."""
+    once = PRESETS["iso230_2"].model_copy(update={"repeats": 1})
+    verdict = of_exx(fit_sessions(simulate(SimulationSpec(plan=once, seed=5)).session), 1e-5)
+    assert np.isfinite(verdict.u) and verdict.decision != "not determined"
+
+
 @pytest.mark.long
 def test_one_number_has_one_uncertainty(reproducible: None) -> None:
     """M of ISO 230-2 is the range of EXX."""

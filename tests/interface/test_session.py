@@ -153,6 +153,13 @@ def test_what_was_declared_is_said_with_its_growth_along_the_path(tmp_path: Path
 COEFFICIENT = {"b": ("1", -1.0, 1.0)}
 WRONG: list[tuple[Callable[[Any], object], str]] = [
     (lambda run: run.budget(draws=-5), "draws must be a whole number"),
+    (lambda run: run.budget(draws=True), "draws must be a whole number from 0 to 100000, not True"),
+    (lambda run: run.budget(quantities=None), "quantities must be a list, not nothing"),
+    (lambda run: run.features(distances=[None]), "an entry of distances or angles must be a list of names"),
+    (lambda run: run.features(frame=""), "frame has 0 names, not 2"),
+    (lambda run: run.plot(np.zeros(3)), "no picture array([0., 0., 0.]); there are"),
+    (lambda run: run.conformity({"EXX": 1e-5}, rule=np.zeros(3)), "no decision rule array"),
+    (lambda run: mtcal.simulate("iso230_2", machine={}), "machine must be a file, not"),
     (lambda run: run.budget(["reading"]), "contributor 1: the content must be a mapping of keys"),
     (lambda run: run.features(draws="many"), "draws must be a whole number from 0 to 100000, not 'many'"),
     (lambda run: run.compare_map("other_session"), "the other map must be that of a fit"),

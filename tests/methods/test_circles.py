@@ -462,6 +462,16 @@ def test_without_a_feed_way_over_time_says_it() -> None:
     assert effect.why_not(build_model(silent)[0].observations) is None
 
 
+def test_an_arc_is_said_to_be_one() -> None:
+    circles = Circles("XY")
+    session = circles.session()
+    spec = spec_of(session)
+    assert not list(spec.suspicious(session))
+    arc = session.with_readings(session.readings.select(np.flatnonzero(circles.arm[:, 0] > 0.1)))
+    (said,) = spec.suspicious(arc)
+    assert said.startswith("setup 'XY' was read over 95° of its circle: G")
+
+
 def test_a_feed_in_millimetres_a_minute_is_suspicious() -> None:
     session = simulated_circles(2)
     setups = session.description.as_a(BallBar).setups

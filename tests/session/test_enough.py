@@ -154,6 +154,29 @@ def scale(folder, column: str, factor: float) -> None:
     )
 
 
+@pytest.mark.parametrize("name", ["rotary_axis", "probing_cross"])
+def test_a_column_that_is_needed_and_empty_is_missing(session_folder, name: str) -> None:
+    folder = session_folder(name)
+    folder.edit_rows(lambda fields, _: {**fields, "c": ""})
+    assert "the column 'c' is missing" in folder.refusal()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("machine", "  tool_offset: [0, 0, 150]", "machine.tool_offset reaches 150 m; these look like millimetres"),
+        ("- id: A", "  position_uncertainty: 1000", "station 'A' is known to 1000 m; these look like millimetres"),
+    ],
+)
+def test_an_offset_and_a_survey_in_millimetres(session_folder, key: str, value: str, says: str) -> None:
+    folder = session_folder("tracking_2d")
+    lines = [line for line in folder.described.read_text().splitlines() if "position_uncertainty" not in line]
+    at = next(k for k, line in enumerate(lines) if line.startswith(key))
+    lines.insert(at + 1, value)
+    folder.described.write_text("\n".join(lines) + "\n")
+    assert says in folder.refusal()
+
+
 def test_positions_in_millimetres_without_a_travel(session_folder) -> None:
     folder = session_folder("tracking_2d")
     text = folder.described.read_text()

@@ -136,7 +136,7 @@ def conformity(
     """
     if not tolerances:
         raise ModelError("no tolerance is given")
-    if rule not in RULES:
+    if not isinstance(rule, str) or rule not in RULES:
         raise ModelError(f"no decision rule {rule!r}{did_you_mean(rule, RULES)}; there are {', '.join(RULES)}")
     if not 0.5 < level < 1.0:
         raise ModelError(f"the conformance probability must be between 0.5 and 1, not {level:g}")
@@ -215,10 +215,16 @@ class _Conformity:
         return [self.of(known[name], _ONLY)] if name in known else []
 
     def same(self, mean: published.Quantity, motion: published.Quantity) -> bool:
-        """Whether the range of a motion is the M of ISO 230-2: one run, fitted at all of its positions."""
+        """Whether the range of a motion is the M of ISO 230-2: one axis, fitted at all of its positions.
+
+        Of one run in each direction M has no uncertainty, which the values at the positions have.
+        """
         values = self.numbers.value
         found = float(values[mean.first])
-        return bool(np.isfinite(found) and abs(np.ptp(values[motion.members]) - found) <= _SAME_RANGE * found)
+        return bool(
+            np.isfinite(found + self.u[mean.first])
+            and abs(np.ptp(values[motion.members]) - found) <= _SAME_RANGE * found
+        )
 
     def of(self, q: published.Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""

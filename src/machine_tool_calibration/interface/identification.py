@@ -248,6 +248,11 @@ class Fit(Answer):
         require_whole(draws=draws, seed=seed)
         if not isinstance(self.result, Result):
             raise ModelError("features are those of one probing session; this fit is of several")
+        if frame is not None and len(listed("frame", frame, str, " of two names")) != 2:
+            raise ModelError(f"frame has {len(frame)} names, not 2")
+        distances, angles = listed("distances", distances), listed("angles", angles)
+        for entry in (*distances, *angles):
+            listed("an entry of distances or angles", entry, str, " of names")
         fit = self.result.fit
         found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
         drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None
@@ -333,7 +338,7 @@ class Fit(Answer):
             contributors = listed("contributors", contributors)
         if not (lines := contributors_of(contributors, self.measurement.sessions)):
             raise ModelError("contributors has 0 entries, not at least 1")
-        names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
+        names = (quantities,) if isinstance(quantities, str) else tuple(listed("quantities", quantities))
         check_names(own, names)
         return Budget.of(propagate(own, lines, draws=draws, seed=seed, progress=progress), names=names)
 

@@ -168,6 +168,8 @@ def simulate(
     fields = {"seed": seed, "noise": noise, "noise_factor": noise_factor, "repeatability": repeatability}
     fields |= {"spread": spread, "chips": chips or None, "missing": missing}
     method, preset = (None, plan) if plan in PRESETS else (plan, None)
+    if machine is not None:
+        require_kind(machine, str | os.PathLike, "machine must be a file")
     own, path = _flaws(effects), None if machine is None else os.fspath(machine)
     spec = spec_from(None, method=method, preset=preset, plan=settings, machine=path, effects=own, fields=fields)
     simulated = simulated_by(spec)

@@ -87,9 +87,9 @@ def chosen(figures: Mapping[str, Figure], name: str | None) -> Figure:
     """One of several pictures, the first one without a name; a CalibrationError if there is none of that name."""
     if name is None and figures:
         name = next(iter(figures))
-    if name is None or name not in list(figures):
+    if not isinstance(name, str) or name not in list(figures):
         known = f"there are {', '.join(figures)}" if figures else "there is nothing to draw"
-        raise CalibrationError(f"no picture {name!r}; {known}" if name else known)
+        raise CalibrationError(known if name is None else f"no picture {name!r}; {known}")
     return notebook(figures[name])
 
 
@@ -117,7 +117,7 @@ def require_whole(**numbers: Any) -> None:
     for name, value in numbers.items():
         low, high = _LIMITS[name]
         try:
-            fits = low <= operator.index(value) <= high
+            fits = not isinstance(value, bool) and low <= operator.index(value) <= high
         except TypeError:
             fits = False
         if not fits:

@@ -39,7 +39,7 @@ def read_session(path: Path, *, check: bool = True) -> Session:
             raise SessionError(f"{folder}: no {file.name} in this folder; a session needs it")
     description = parse_description(read_text(described), str(described))
     table = read_table(observed)
-    require_columns(description, table.layout.columns, str(observed))
+    require_columns(description, {*table.numbers, *table.labels}, str(observed))
     place = Place(str(described), str(observed), table.layout.line)
     session = Session(description, assemble(description, table.numbers, table.labels, place), source=str(folder))
     if check:

@@ -23,6 +23,7 @@ from machine_tool_calibration.arrays import (
     unsigned,
 )
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.values import LARGEST
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
@@ -244,7 +245,7 @@ def assemble(
         raise SessionError(f"{place.row(bad)}: repeat is {repeat[bad]:g}, not 0, 1, 2 …")
     time = columns.get("time", np.zeros(0))
     first = float(time[np.isfinite(time)].min(initial=np.inf))
-    if _SINCE_AN_EPOCH < first < np.inf:  # beside it what changes within a session would be lost in rounding
+    if _SINCE_AN_EPOCH < first < LARGEST:  # beside it what changes within a session would be lost in rounding
         columns["time"] = time - first
     return Readings(
         setup=setup,

@@ -8,7 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense, way_over_time
+from machine_tool_calibration.methods.ball_bar.circle import angles, arms, in_plane, travel_sense, way_over_time
 from machine_tool_calibration.session.description import BallBar, Place
 from machine_tool_calibration.session.judgements import Held
 from machine_tool_calibration.session.method import MethodSpec
@@ -18,6 +18,8 @@ from machine_tool_calibration.session.session import Session
 _OFF_CIRCLE, _RANGE = 1e-3, 3e-3
 # Times by which a stated feed may be off that of way and time, which accelerates and is rounded.
 _FEED = 2.0
+# Least arc of a circular test, rad: where the machine leaves no room for a circle, 220° are usual.
+_LEAST_ARC = 3.5
 
 
 class CircleSpec(MethodSpec):
@@ -76,8 +78,16 @@ class CircleSpec(MethodSpec):
             yield Held("dir", "one way round the circle", off, np.full(len(off), 0.5), unit="", share=0.05)
 
     def suspicious(self, session: Session) -> Iterator[str]:
-        """Circles without directions of approach, and a feed that is not that of way and time."""
-        setups = session.description.as_a(BallBar).setups
+        """Arcs, circles without directions of approach, and a feed that is not that of way and time."""
+        description = session.description.as_a(BallBar)
+        setups = description.setups
+        angle = angles(*arms(description, session.readings))
+        for k in np.unique(session.readings.setup):
+            ordered = np.sort(np.mod(angle[(session.readings.setup == k) & np.isfinite(angle)], 2.0 * np.pi))
+            read = 2.0 * np.pi - float(np.diff(ordered, append=ordered[0] + 2.0 * np.pi).max())
+            if read < _LEAST_ARC:
+                arc = f"{np.degrees(read):.0f}° of its circle"
+                yield f"setup {setups[k].id!r} was read over {arc}: G and the centre are of that arc alone"
         stated = np.array([setup.feed or np.nan for setup in setups])[session.readings.setup]
         ratio = stated / way_over_time(session.readings)
         for k in np.unique(session.readings.setup[(ratio > _FEED) | (ratio * _FEED < 1.0)]):

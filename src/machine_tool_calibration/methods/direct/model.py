@@ -257,7 +257,7 @@ def _usable(readings: Readings) -> Readings:
     needed += [readings.columns[axis] for axis in "xyz" if axis in readings.columns]
     usable = readings.select(np.flatnonzero(np.isfinite(np.array(needed)).all(axis=0)))
     if not len(usable):
-        raise ModelError("no reading: every displacement is missing")
+        raise ModelError("no reading has a displacement, a direction and a position on each axis")
     return usable
 
 

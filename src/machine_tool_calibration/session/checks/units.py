@@ -14,8 +14,8 @@ from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
 LARGEST_MACHINE = 50.0  # m
-LARGEST_TRAVEL = 100.0  # m
-_FARTHEST_STATION = 200.0  # m
+LARGEST_TRAVEL, LARGEST_OFFSET = 100.0, 10.0  # m
+_FARTHEST_STATION, _VAGUEST_STATION = 200.0, 10.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 FINEST, _COARSEST = 1e-11, 1e-2  # standard uncertainties of a reading, m
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
@@ -62,6 +62,10 @@ def _travel(session: Session, place: Place) -> None:
         if name.lower() in "xyz" and reach > LARGEST_TRAVEL:
             raise SessionError(f"{place.description}: machine.travel.{name} reaches {reach:g} m; {MILLIMETRES}")
 
+    offset = session.description.machine.tool_offset or (0.0, 0.0, 0.0)
+    if (reach := max(map(abs, offset))) > LARGEST_OFFSET:
+        raise SessionError(f"{place.description}: machine.tool_offset reaches {reach:g} m; {MILLIMETRES}")
+
 
 def _positions(session: Session, place: Place) -> None:
     for axis, value, where in _largest(session, place, "xyz"):
@@ -77,6 +81,10 @@ def _instrument(session: Session, place: Place) -> None:
     description = session.description
     for index, setup in enumerate(description.setups):
         far = max(map(abs, setup.position)) if isinstance(setup, StationSetup) else 0.0
+        known = getattr(setup, "position_uncertainty", None) or 0.0
+        if known > _VAGUEST_STATION:
+            where = f"{place.description}: setups[{index}].position_uncertainty"
+            raise SessionError(f"{where}: station {setup.id!r} is known to {known:g} m; {MILLIMETRES}")
         if far > _FARTHEST_STATION:
             where = f"{place.description}: setups[{index}].position"
             raise SessionError(f"{where}: station {setup.id!r} is {far:g} m away; {MILLIMETRES}")
