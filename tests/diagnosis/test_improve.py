@@ -220,6 +220,7 @@ def test_a_share_in_the_readings_is_told_only_where_the_data_tell_it() -> None:
     assert rms(change.signal) < 2e-6
 
 
+@pytest.mark.long
 def test_a_reading_of_the_wrong_sign_keeps_no_model_from_being_improved() -> None:
     """With it the stations are found nowhere, or errors of centimetres: the loop begins without it."""
     effects = (FlawSpec(id="backlash_c", size=1.3e-5),)

@@ -23,7 +23,6 @@ from machine_tool_calibration.arrays import (
     unsigned,
 )
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.values import LARGEST
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
@@ -222,7 +221,8 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     return np.unique(place, return_index=True)[1], place
 
 
-_SINCE_AN_EPOCH = 1e6  # times that begin later, s, count from an epoch: no session lasts twelve days before
+# Times that begin later, s, count from an epoch: no session lasts twelve days before; and later than any has.
+_SINCE_AN_EPOCH, _NO_TIME = 1e6, 1e12
 
 
 def assemble(
@@ -245,7 +245,7 @@ def assemble(
         raise SessionError(f"{place.row(bad)}: repeat is {repeat[bad]:g}, not 0, 1, 2 …")
     time = columns.get("time", np.zeros(0))
     first = float(time[np.isfinite(time)].min(initial=np.inf))
-    if _SINCE_AN_EPOCH < first < LARGEST:  # beside it what changes within a session would be lost in rounding
+    if _SINCE_AN_EPOCH < first < _NO_TIME:  # beside it what changes within a session would be lost in rounding
         columns["time"] = time - first
     return Readings(
         setup=setup,
