@@ -111,6 +111,7 @@ def test_far_holes_are_named() -> None:
     assert found.accepted == ("scale",)
 
 
+@pytest.mark.long
 def test_repeats_in_a_plane_that_is_not_zero() -> None:
     """The mean of equal heights is that height, to the last bit."""
     session, _ = plates.plate(2, repeats=3, holes=100, scales=(4e-5, 4e-5))
@@ -121,6 +122,7 @@ def test_repeats_in_a_plane_that_is_not_zero() -> None:
     assert np.ptp(found.search.fit.fits[0].model.observations.position[:, 2]) == 0.0
 
 
+@pytest.mark.long
 def test_far_holes_beside_each_other_are_something_else() -> None:
     """x and y of a hole alternate in the list: neighbours are those of the same direction."""
     session, _ = plates.plate(4, tails=None, holes=100)

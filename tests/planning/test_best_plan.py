@@ -199,6 +199,7 @@ def test_the_quickest_plan_comes_to_what_is_wanted_as_soon_as_any(seconds: float
     assert largest(enough) == pytest.approx(min(map(largest, as_long)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("repeats", "kept"), [(1, True), (2, False)])
 def test_the_procedure_as_it_stands_is_kept_unless_another_is_much_quicker(repeats: int, kept: bool) -> None:
     """Three stations are needed, so that only repeats are saved, of which others need one where these need two."""
@@ -304,6 +305,7 @@ def test_what_cannot_be_is_said_in_one_line(changes: dict[str, Any], why: str) -
         best_plan(_changed(**changes), "plane.yaml", Assumed())
 
 
+@pytest.mark.long
 def test_the_bound_of_an_effect_is_that_of_plans_that_tell_it() -> None:
     # A single repeat goes one way and tells no backlash: that says nothing of plans with two.
     offered = offer(PLANE, "plane", both_senses=True)

@@ -76,6 +76,7 @@ def test_words_and_tables_say_what_was_found(name: str, verdict: str, says: list
     assert all("nan" not in words.split() for words in shown.words)
 
 
+@pytest.mark.long
 def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_leads() -> None:
     found, shown = report("too little to tell")
     assert found.accepted == () and found.ranked[0].name == "station_drift"
@@ -132,6 +133,7 @@ def test_outliers_are_listed_by_row() -> None:
     assert rows == sorted(o.row for o in found.gross_errors)
 
 
+@pytest.mark.long
 def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
     found, _ = report("too noisy")
     bare = replace(found, noise=replace(found.noise, from_repeats=None))

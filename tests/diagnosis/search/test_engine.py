@@ -242,6 +242,7 @@ def test_without_times_nothing_is_told_in_seconds() -> None:
     assert {"station_drift", "linear_drift", "warmup_x"} <= set(found.excluded)
 
 
+@pytest.mark.long
 def test_without_times_there_is_no_warm_up() -> None:
     """The number of a reading is no time; what can be told without it is told all the same."""
     flaws = [FlawSpec(id="backlash_x", size=3e-6)]
