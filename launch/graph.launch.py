@@ -61,7 +61,7 @@ def nodes(context):
     measured = read_procedure(procedure)
     # the machine's chain and travel are the procedure's; what was simulated stays with the logs of the launch
     site = Path(launch_config.log_dir, "site.yaml")
-    site.write_text(yaml_text(site_document(measured, read_site(given["site"]))))
+    site.write_text(yaml_text(site_document(measured, read_site(given["site"]))), encoding="utf-8")
     parameters = graph_parameters(
         measured.session.method,
         procedure,
@@ -80,7 +80,8 @@ def nodes(context):
     chosen = {name: values for name, values in parameters.items() if name not in left_out}
     said = []
     if is_true["use_sim_time"] and not is_true["axes"]:
-        topic = "/".join(["", *given["namespace"].strip("/").split("/"), "clock"]).replace("//", "/")
+        space = given["namespace"].strip("/")
+        topic = f"/{space}/clock" if space else "/clock"
         clock = (
             f"the nodes wait for a {topic} of yours, as the simulated axes' is missing; without one: "
             "use_sim_time:=false"

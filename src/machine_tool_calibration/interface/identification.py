@@ -338,7 +338,7 @@ class Fit(Answer):
             contributors = listed("contributors", contributors)
         if not (lines := contributors_of(contributors, self.measurement.sessions)):
             raise ModelError("contributors has 0 entries, not at least 1")
-        names = (quantities,) if isinstance(quantities, str) else tuple(listed("quantities", quantities))
+        names = listed("quantities", quantities)
         check_names(own, names)
         return Budget.of(propagate(own, lines, draws=draws, seed=seed, progress=progress), names=names)
 

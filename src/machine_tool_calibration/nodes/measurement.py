@@ -253,8 +253,10 @@ def _refuse_company(client: Client, names: Sequence[str], domain: int) -> None:
     def gone() -> bool:  # what was killed is known for a while, and says nothing
         return not there() or bool(client.heard.nodes())
 
-    if client.wait(lambda: bool(there()), _DISCOVERED) and not (client.wait(gone, _FORGOTTEN) and not there()):
-        where = f"{client.node.get_namespace().rstrip('/')}/{there()[0]}"
+    if client.wait(lambda: bool(there()), _DISCOVERED):
+        client.wait(gone, _FORGOTTEN)
+    if others := there():
+        where = f"{client.node.get_namespace().rstrip('/')}/{others[0]}"
         raise CalibrationError(
             f"another graph is in ROS domain {domain}, with {where}: both would move the same axes; end it, or "
             "--domain-id or --namespace keeps them apart"

@@ -13,7 +13,6 @@ from scipy.special import logit, logsumexp
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
 from machine_tool_calibration.diagnosis.search.columns import Columns, exclusive, outside_the_model
-from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
@@ -25,7 +24,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
 )
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, scaled_columns, search
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Marginal, marginal_at
+from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.result import effect_signal
@@ -338,23 +337,25 @@ def _structure(columns: Columns, found: Posterior) -> tuple[Structure, ...]:
     single, marginal, out = found.single, found.marginal, []
     for k in (k for k in single.best if k >= columns.effects):
         log_factor = float(single.log_factors[k])
-        block = columns.blocks[single.best[k].block]
-        share = np.sum(fitted_in(marginal, block.place)[1] ** 2) / marginal.squares
         # Judged by the structures' prior against all others: what no effect says; and by the scatter that is left.
-        p = max(found.p_value(k, log_factor), columns.candidates[k].count * _of_scatter(marginal, block, float(share)))
+        p = found.p_value(k, log_factor)
         if p <= priors.STRUCTURE_P:
-            words = _dependence(columns.candidates[k], block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, float(share))))
+            block, candidate = columns.blocks[single.best[k].block], columns.candidates[k]
+            along = fitted_in(marginal, block.place)[1]
+            share = float(np.sum(along**2) / marginal.squares)
+            p = max(p, candidate.count * _of_scatter(share, len(along), marginal.gram.dof))
+        if p <= priors.STRUCTURE_P:
+            words = _dependence(candidate, block.shaped.shape)
+            out.append((p, -log_factor, Structure(*words, p, share)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
-def _of_scatter(marginal: Marginal, block: Block, share: float) -> float:
+def _of_scatter(share: float, rank: int, dof: float) -> float:
     """Probability that columns take so large a share of the squares of noise of whatever size (the F test).
 
     Few degrees of freedom are mostly what any few columns take up, whatever the declared uncertainty is.
     """
-    rank = fitted_in(marginal, block.place)[0].shape[1]
-    left = marginal.gram.dof - rank
+    left = dof - rank
     return float(special.fdtrc(rank, left, share / rank / max((1.0 - share) / left, _NEVER))) if left > 0 else 1.0
 
 

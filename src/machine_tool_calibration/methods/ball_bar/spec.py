@@ -82,8 +82,9 @@ class CircleSpec(MethodSpec):
         description = session.description.as_a(BallBar)
         setups = description.setups
         angle = angles(*arms(description, session.readings))
-        for k in np.unique(session.readings.setup):
-            ordered = np.sort(np.mod(angle[(session.readings.setup == k) & np.isfinite(angle)], 2.0 * np.pi))
+        known = np.isfinite(angle)
+        for k in np.unique(session.readings.setup[known]):
+            ordered = np.sort(np.mod(angle[known & (session.readings.setup == k)], 2.0 * np.pi))
             read = 2.0 * np.pi - float(np.diff(ordered, append=ordered[0] + 2.0 * np.pi).max())
             if read < _LEAST_ARC:
                 arc = f"{np.degrees(read):.0f}° of its circle"
