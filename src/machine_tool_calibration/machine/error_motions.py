@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
@@ -37,6 +37,16 @@ def interpolation(nodes: Array, position: Array) -> Array:
     weights[right - 1, columns] = 1.0 - share
     weights[right, columns] = share
     return weights
+
+
+def off_a_line(nodes: Array, position: Array) -> tuple[IntArray, Array]:
+    """(n,) number of the node after each position, and (n,) what a straight line between nodes is off a curve, m^2.
+
+    By a second derivative of one: half the product of the distances to both; 0 at nodes and beyond the last.
+    """
+    right = np.clip(np.searchsorted(nodes, position, side="right"), 1, len(nodes) - 1)
+    before, after = position - nodes[right - 1], nodes[right] - position
+    return right, np.clip(before, 0.0, None) * np.clip(after, 0.0, None) / 2
 
 
 ERROR_MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZABC" for component in "XYZABC")

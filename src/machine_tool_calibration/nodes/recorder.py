@@ -34,7 +34,7 @@ class Recorder(ManagedNode):
 
     def activate(self) -> None:
         """See `ManagedNode`: a recording begins, in a bag of its own; further ones have numbers after the folder."""
-        folder = Path(self._folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}")
+        folder = self._folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"
         number = f"_{self._bags + 1}" if self._folder and self._bags else ""
         self._status = StatusTopic(self, "recorder")
         self._ignored = {*_NEVER, self.resolve_topic_name("~/status")}
@@ -43,7 +43,7 @@ class Recorder(ManagedNode):
         self.trouble = ""
         self._waiting = self.lives_in_simulated_time
         self.bag = BagWriter(
-            folder.with_name(folder.name + number),
+            Path(f"{Path(folder)}{number}"),
             flush_seconds=self._flush,
             split_bytes=self._split_bytes,
             split_seconds=self._split_time,

@@ -23,7 +23,7 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.machine.error_motions import interpolation, off_a_line
 from machine_tool_calibration.methods.joint.map import squared_bend
 from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
 from machine_tool_calibration.trends.statement import Part, Statement
@@ -173,10 +173,10 @@ def _part(earlier: Statement, now: Statement, name: str, between: float) -> Chan
     good = np.isfinite(before.value + after.value + before.u + after.u)
     if not good.any():
         return None
-    base, _ = np.linalg.qr(Part(name, one.unit, one.members, at[good] if one.at is not None else None).datum)
     first, second = before.value[good], after.value[good]
     spread = (2.0 * between**2 + before.variance + after.variance)[good]
     if one.at is not None and good.sum() > 1 and before.deviations is not None and after.deviations is not None:
+        base, _ = np.linalg.qr(Part(name, one.unit, one.members, at[good]).datum)
         first, second = (value - base @ (base.T @ value) for value in (first, second))
         draws = len(before.deviations)
         rows = (before.deviations - after.deviations)[:, good] / np.sqrt(draws)
@@ -213,9 +213,7 @@ def _values(own: Statement, part: Part, at: Array) -> _Values:
             mine = members[known]
             covariance = np.diag(own.numbers.u[mine] ** 2) if drawn is None else np.cov(drawn[:, mine].T)
             bend = squared_bend(nodes[known], own.numbers.value[mine], covariance)
-            right = np.clip(np.searchsorted(nodes, at, side="right"), 1, len(nodes) - 1)
-            step = nodes[right] - nodes[right - 1]
-            variance = (step**2 * weights[right - 1, range(len(at))] * weights[right, range(len(at))] / 2.0) ** 2 * bend
+            variance = off_a_line(nodes, at)[1] ** 2 * bend
     used = weights > 0
     value, u = (
         np.where(used, one[members][:, None] * weights, 0.0).sum(axis=0) for one in (own.numbers.value, own.numbers.u)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.machine.error_motions import parse_motion
+from machine_tool_calibration.machine.error_motions import off_a_line, parse_motion
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
@@ -52,8 +52,7 @@ def between_nodes(
         if table.is_squareness or good.sum() < 3:
             continue
         at, nodes = points[:, "XYZ".index(parse_motion(table.name).axis)], table.nodes
-        right = np.clip(np.searchsorted(nodes, at, side="right"), 1, len(nodes) - 1)
-        lever = np.clip(at - nodes[right - 1], 0.0, None) * np.clip(nodes[right] - at, 0.0, None) / 2
+        right, lever = off_a_line(nodes, at)
         seen = read.get(table.name, np.empty(0))
         lever[np.isin(np.round(at, _DIGITS), np.round(seen, _DIGITS))] = 0.0
         if lever.max(initial=0.0) <= 1e-3 * float(np.ptp(nodes)) ** 2 / len(nodes) ** 2:

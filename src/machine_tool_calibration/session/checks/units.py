@@ -80,13 +80,12 @@ def _positions(session: Session, place: Place) -> None:
 def _instrument(session: Session, place: Place) -> None:
     description = session.description
     for index, setup in enumerate(description.setups):
-        far = max(map(abs, setup.position)) if isinstance(setup, StationSetup) else 0.0
-        known = getattr(setup, "position_uncertainty", None) or 0.0
-        if known > _VAGUEST_STATION:
-            where = f"{place.description}: setups[{index}].position_uncertainty"
-            raise SessionError(f"{where}: station {setup.id!r} is known to {known:g} m; {MILLIMETRES}")
+        if not isinstance(setup, StationSetup):
+            continue
+        where, far = f"{place.description}: setups[{index}].position", max(map(abs, setup.position))
+        if (known := setup.position_uncertainty or 0.0) > _VAGUEST_STATION:
+            raise SessionError(f"{where}_uncertainty: station {setup.id!r} is known to {known:g} m; {MILLIMETRES}")
         if far > _FARTHEST_STATION:
-            where = f"{place.description}: setups[{index}].position"
             raise SessionError(f"{where}: station {setup.id!r} is {far:g} m away; {MILLIMETRES}")
     for key in ("targets", "workpiece"):
         for index, entry in enumerate(getattr(description, key, ())):
