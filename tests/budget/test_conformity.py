@@ -157,6 +157,7 @@ def test_budget_takes_the_place_of_the_identification(
     assert one(found).u == pytest.approx(0.8e-6, rel=0.05)
 
 
+@pytest.mark.long
 def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Callable[..., Contributor]) -> None:
     """Student's t in place of the normal distribution, for what is drawn as well."""
     fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4), **QUIET))
@@ -206,6 +207,7 @@ def test_what_is_suspicious_is_said(runs: Callable[..., Session]) -> None:
     assert not judged(fit_sessions(runs(np.random.default_rng(2).normal(0.0, 1e-6, 20))), {"EXX": 1.0}).suspicious
 
 
+@pytest.mark.long
 def test_what_the_readings_show_is_not_undercut(
     runs: Callable[..., Session], contributor: Callable[..., Contributor]
 ) -> None:

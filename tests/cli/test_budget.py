@@ -78,6 +78,7 @@ def test_tables_fit_the_screen(width: int, line: str, mine: str, verb: Verb, mon
     assert "nan" not in out
 
 
+@pytest.mark.long
 def test_the_picture_is_written(line: str, mine: str, tmp_path: Path, verb: Verb) -> None:
     told = verb("budget", line, "--budget", mine, "--plot", tmp_path / "who.png")
     assert str(tmp_path / "who.png") in told.err.replace("\n", "")

@@ -38,6 +38,7 @@ def test_words_tables_pictures_and_readings(method: str, tmp_path: Path, verb: V
     assert {"row", "setup", "repeat", "measured", "predicted", "studentized", "temperature_air"} <= set(table.columns)
 
 
+@pytest.mark.long
 def test_residuals_are_drawn_against_the_columns_asked_for(tmp_path: Path) -> None:
     assert run(["compare", SESSION, "--against", "path", "--against", "temperature_x", "-o", str(tmp_path)]) == 0
     assert (tmp_path / "residuals.png").is_file()

@@ -239,6 +239,7 @@ def test_a_frame_that_follows_bed_and_nozzle_has_both_named() -> None:
     assert found.fits[-1].reduced_chi_square < 1.2
 
 
+@pytest.mark.long
 def test_reversal_of_no_simple_form_is_said_place_by_place() -> None:
     """Backlash, and beside it a reversal that differs from each place to the next: no wave in the order."""
     session = plates.axis(3, backlash=1e-5, declared=5e-7, terms=("EXX",), datum="offset")

@@ -190,6 +190,7 @@ def _expanding(seed: int) -> Session:
     return plates.session(columns, 3e-7, "none", ["EXX"], repeat)
 
 
+@pytest.mark.long
 def test_states_of_temperature_are_told_apart_and_are_no_difference_of_the_machine() -> None:
     results = [identify(_expanding(seed), effects=["thermal_expansion_x"]) for seed in (1, 2)]
     places = tables.error_map(results[0])

@@ -339,6 +339,7 @@ def test_files_of_the_package_offer_something() -> None:
         assert len(offer(file.read_text(), name).setups) > 10
 
 
+@pytest.mark.long
 def test_a_plan_that_cannot_be_identified_is_not_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor one that determines less of the map than the procedure as it stands, however small its U."""
     offered = offer(PLANE, "plane")

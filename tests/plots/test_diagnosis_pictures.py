@@ -79,6 +79,7 @@ def test_files(tmp_path: Path) -> None:
     assert (table["rms_after"] <= table["rms_before"] * 1.001).all()
 
 
+@pytest.mark.long
 def test_what_varied_with_wrong_readings_only_is_drawn_before_them_alone() -> None:
     """A temperature that was another one while the beam was broken."""
     session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=7)).session

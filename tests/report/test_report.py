@@ -229,6 +229,7 @@ def test_each_error_motion_has_a_picture_and_each_standard_a_page():
         assert any(isinstance(block, TextTable) and block.rows for block in own.blocks)
 
 
+@pytest.mark.long
 def test_an_error_motion_is_drawn_once():
     found = evaluated("iso230_2")
     drawn = [*figures.map_pictures(found), *figures.motion_pictures(found)]
@@ -328,6 +329,7 @@ def test_a_further_language_is_one_file(name):
     assert [text for text in (*shown, *drawn) if POINT.search(text) and software not in text] == []
 
 
+@pytest.mark.long
 def test_a_german_report_is_german():
     shown, drawn = shown_in("tracking_2d", "de")
     assert {"Einflüsse, nach denen gesucht wurde, die wahrscheinlichsten zuerst", "Zeile"} <= {*shown}

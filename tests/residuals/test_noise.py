@@ -121,6 +121,15 @@ def test_what_another_session_misses_is_no_noise_of_this_one_and_their_order_tel
     assert min(one.from_repeats or 0.0 for one in beside) < there.from_repeats
 
 
+@pytest.mark.parametrize("unit", [0.1, 1.0, 2.0, 5.0, 10.0, 100.0])
+def test_where_the_model_holds_every_place_repeats_say_no_more_than_it(unit: float) -> None:
+    read = unit * 1e-5 * np.random.default_rng(8).normal(size=26)
+    setup = np.repeat([0, 1, 2], [9, 9, 8])
+    columns = {"x": 0 * read, "gx": 1 + 0 * read, "gy": 0 * read, "gz": 0 * read, "displacement": read}
+    one = plates.session(columns, unit * 1e-5, "offset", ("EXX",), None, "A", "B", "C", setup=setup)
+    assert noise_of(fit_models([build_model(one)[0]]).fits[0]).lack_of_fit_p is None
+
+
 def test_readings_that_are_rounded_scatter_by_the_digit_at_least() -> None:
     assert rounding_of(np.array([0.185, 0.184, 0.185, np.nan])) == pytest.approx(0.001 / np.sqrt(12.0))
     assert rounding_of(0.1 + 1e-7 * np.array([0.0, 20.0, 35.0, 50.0])) == pytest.approx(5e-7 / np.sqrt(12.0), rel=1e-6)

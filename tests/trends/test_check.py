@@ -82,6 +82,7 @@ def test_what_the_coordinate_system_changes_is_no_change() -> None:
         assert len(check(one, two).moved) == moved, (name, more)
 
 
+@pytest.mark.long
 def test_p_values_are_adjusted_by_the_rule_of_holm() -> None:
     found = check(measured(11)[1], measured(12)[1])
     p = np.array([one.p_value for one in found.changes])
@@ -112,6 +113,7 @@ def test_an_uncertainty_that_is_none_is_refused_by_file_and_key(u: float) -> Non
         of_result(damaged, "result.json")
 
 
+@pytest.mark.long
 def test_a_reversal_that_the_model_lacks_hides_no_change_of_scale() -> None:
     """Both directions of both measurements are 4 um apart: their means tell a change of 4 um at the end."""
 

@@ -79,6 +79,7 @@ def test_another_variant_of_the_model_is_chosen_where_the_result_is_shown(
     assert read_history(history_path(hidden)).models[-1].change == "model rigid_body"
 
 
+@pytest.mark.long
 def test_a_model_keeps_its_residual_volumetric_error_when_another_is_undone(state: State, document: Document) -> None:
     page = shown(ImprovePage, state)
     state.changed(add=["backlash_y"])()

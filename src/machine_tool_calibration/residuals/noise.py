@@ -21,6 +21,8 @@ from machine_tool_calibration.session.catalogue import spec_of
 _MOST_PLACES = 1500
 # Readings that a model leaves of a session, below which it leaves none.
 _LEAST_LEFT = 1e-6
+# Share of a column's squares outside the model below which that is rounding.
+_NOTHING_LEFT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,8 @@ def _as_read(fit: Fit) -> float | None:
 
 def _explained(inner: Array, right: Array) -> tuple[float, int]:
     """Squared norm that columns explain, and their rank, by a pivoted Cholesky decomposition."""
-    if not inner.any():
+    if inner.diagonal().max(initial=0.0) <= _NOTHING_LEFT:  # LAPACK does not hold the first pivot against it
         return 0.0, 0
-    factor, pivots, rank, _ = linalg.lapack.dpstrf(inner, tol=1e-9, lower=1)
+    factor, pivots, rank, _ = linalg.lapack.dpstrf(inner, tol=_NOTHING_LEFT, lower=1)
     along = linalg.solve_triangular(factor[:rank, :rank], right[pivots[:rank] - 1], lower=True)
     return float(along @ along), int(rank)

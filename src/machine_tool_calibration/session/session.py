@@ -23,6 +23,7 @@ from machine_tool_calibration.arrays import (
     unsigned,
 )
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.read_off import commanded
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
@@ -46,6 +47,8 @@ class Readings:
     columns: Mapping[str, Array]
     labels: Mapping[str, np.ndarray]  # text columns by name, each (n,): target, point
     row: IntArray  # (n,) number of the reading in the recording, from 0; survives a selection
+    # by axis how far the positions that were read off are from the places that they are taken for, m or rad, at most
+    off_place: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.displacement)
@@ -93,6 +96,7 @@ class Readings:
             columns={name: values[keep] for name, values in self.columns.items()},
             labels={name: values[keep] for name, values in self.labels.items()},
             row=self.row[keep],
+            off_place=self.off_place,
         )
 
     def position(self) -> Array:
@@ -247,6 +251,9 @@ def assemble(
     first = float(time[np.isfinite(time)].min(initial=np.inf))
     if _SINCE_AN_EPOCH < first < _NO_TIME:  # beside it what changes within a session would be lost in rounding
         columns["time"] = time - first
+    read_off = {axis: columns[axis] for axis in "xyzabc" if axis in columns}
+    columns |= {axis: commanded(at, np.radians(1.0) if axis in "abc" else 1.0) for axis, at in read_off.items()}
+    off = {axis: float(np.abs(position - columns[axis]).max(initial=0.0)) for axis, position in read_off.items()}
     return Readings(
         setup=setup,
         repeat=repeat.astype(np.int64),
@@ -254,6 +261,7 @@ def assemble(
         columns=columns,
         labels=texts,
         row=np.arange(count, dtype=np.int64),
+        off_place={axis: most for axis, most in off.items() if most > 0.0},
     )
 
 

@@ -142,6 +142,7 @@ def test_a_finer_point_of_another_effect_is_seldom_and_what_is_no_effect_is_not(
     assert not replace(found[1], effect=None).is_seldom
 
 
+@pytest.mark.long
 def test_a_size_that_is_seldom_stands_for_no_look_alike_that_is_as_likely() -> None:
     """A drift of the reading, or a dead path of metres in air that warms up steadily."""
     drift = FlawSpec(id="linear_drift", amplitude=4e-7)

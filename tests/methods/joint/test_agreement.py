@@ -187,6 +187,7 @@ def _with(session: Session, **said: object) -> Session:
     return replace(session, description=session.description.model_copy(update=said))
 
 
+@pytest.mark.long
 def test_a_station_stated_wrong_by_centimetres(several: SimpleNamespace) -> None:
     tracker, run = (several.measured(name, 1, several.machine(1)).session for name in ("tracker", "run"))
     first, *rest = tracker.description.setups
@@ -288,6 +289,7 @@ def test_probing_and_tracking_that_contradict_each_other(other: str, motion: str
     assert f"contradict each other in {motion}" in agreement.statement
 
 
+@pytest.mark.long
 def test_two_rotary_axes_are_not_one() -> None:
     sessions = [_measured("rotary", seed).session for seed in (1, 2)]
     agreement = identify_sessions(FitRequest(sessions, ("first", "second"))).agreement

@@ -138,6 +138,7 @@ def test_an_offset_run_reads_what_the_angular_error_does_there(exact):
     assert difference == pytest.approx(0.12 * (turn - turn[0]), abs=2e-9)
 
 
+@pytest.mark.long
 def test_the_papers_formulas_use_neither(exact):
     simulated = exact(4, angular=1e-5, diagonals=FOUR, offset_linear=OFF)
     whole = simulated.session

@@ -16,6 +16,7 @@ _FEWEST_MOVES = 8  # moves beside directions of approach: fewer may be against t
 _HARDLY_DIFFER = 0.1  # share of a reading's standard uncertainty that readings differ by: of eight by chance below 1e-7
 _BEYOND_TRAVEL = 0.1  # share of the travel by which a probed part may reach beyond it
 _COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by itself
+_WRITTEN = 1e-8  # m or rad: positions are written with so many decimals that they differ by less
 _WHOLE = 1e-6  # of a step: rounding
 _BY_CHANCE = 0.01  # probability of equal readings below which they are one reading
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
@@ -30,7 +31,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _copied, _beside, _recorded_before, _repeated, _approached)
+    checks = (_still, _rounded, _copied, _read_off, _beside, _recorded_before, _repeated, _approached)
     return [
         together((name, words), "")
         for name, session in pairs
@@ -70,6 +71,16 @@ def _copied(session: Session) -> Iterator[str]:
     equal &= every | (readings.displacement != 0.0)
     if every or (equal.any() and _hardly_by_chance(readings.displacement[~equal], int(again.sum()), session.sigma)):
         yield say("suspicion.copied", n=int(equal.sum()), row=int(readings.row[equal][0]))
+
+
+def _read_off(session: Session) -> Iterator[str]:
+    """Positions that scatter about places: read off an encoder."""
+    for axis, most in session.readings.off_place.items():
+        if most < _WRITTEN:
+            continue
+        places = len(np.unique(session.readings.columns[axis]))
+        unit = "µrad" if axis in "abc" else "µm"
+        yield say("suspicion.read_off", axis=axis, n=places, most=f"{1e6 * most:.2g}", unit=unit)
 
 
 def _hardly_by_chance(others: Array, count: int, sigma: float) -> bool:

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Positions that were read off are taken for the places about which they scatter; what was commanded stays as it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.read_off import commanded
+from machine_tool_calibration.session.session import Session, assemble
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+PLACES = np.repeat(np.linspace(0.0, 0.4, 5), 6)
+
+
+@pytest.mark.parametrize("scatter", [1e-8, 1e-7, 4e-6])
+def test_repeats_of_a_place_are_one_place(scatter: float) -> None:
+    read = PLACES + scatter * np.random.default_rng(1).uniform(-1.0, 1.0, len(PLACES))
+    taken = commanded(read)
+    assert len(np.unique(taken)) == 5
+    assert np.abs(taken - PLACES).max() < (scatter if scatter < 1e-7 else 1e-15)
+
+
+def test_angles_are_round_in_degrees() -> None:
+    angle = np.radians(np.repeat(np.arange(0.0, 360.0, 20.0), 4))
+    read = angle + 2e-6 * np.random.default_rng(4).uniform(-1.0, 1.0, len(angle))
+    assert np.abs(commanded(read, np.radians(1.0)) - angle).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        PLACES,
+        PLACES + 1e-12 * np.arange(30),  # written alike
+        np.repeat(np.linspace(0.0, 2e-6, 11), 3),  # a stage that moves by fractions of a micrometre
+        np.concatenate([at + np.arange(20) * 1e-6 for at in (0.0, 0.1, 0.2)]),  # fine steps at some places
+        np.cumsum(np.random.default_rng(2).uniform(0.5, 1.5, 200)) * 1e-5,  # on the move
+        np.append(np.linspace(0.0, 0.4, 21), 0.4 + 1e-6),  # hardly any place was read again
+        np.append(PLACES[:-1], np.nan),
+        np.zeros(0),
+    ],
+)
+def test_other_positions_stay_as_they_are(position: np.ndarray) -> None:
+    np.testing.assert_array_equal(commanded(position), position)
+
+
+def read_off(session: Session, scatter: float) -> Session:
+    """The same measurement with positions that scatter."""
+    rng, readings = np.random.default_rng(3), session.readings
+    columns = dict(readings.columns) | {"repeat": readings.repeat.astype(float), "displacement": readings.displacement}
+    columns |= {axis: columns[axis] + scatter * rng.uniform(-1.0, 1.0, len(readings)) for axis in "xy"}
+    labels = {**readings.labels, "setup": np.array(session.setup_ids)[readings.setup]}
+    return replace(session, readings=assemble(session.description, columns, labels, Place("s", "s")))
+
+
+def test_a_measurement_with_encoder_positions_gives_the_same_map_and_says_what_was_taken() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5)).session
+    other = read_off(session, 1e-6)
+    wanted, found = identify(session).error_map, identify(other).error_map
+    assert found.error == pytest.approx(wanted.error, abs=1e-9, nan_ok=True)
+    assert found.uncertainty == pytest.approx(wanted.uncertainty, rel=1e-6, nan_ok=True)
+    assert suspicions([session]) == []
+    assert [words.split()[2] for words in suspicions([other])] == ["x", "y"]
+    assert all(0.5e-6 < most < 2e-6 for most in other.readings.off_place.values())
+    assert other.readings.select(np.arange(3)).off_place == other.readings.off_place
