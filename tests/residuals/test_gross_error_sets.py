@@ -18,10 +18,13 @@ LOCAL = np.concatenate([STATIONS, STATIONS])
 NOISE = np.array([0.4, -0.9, 0.2, 0.5, -0.3, 0.8, -0.6, 0.1])
 
 
-def explained(local: Array, residual: Array, limit: float = 4.7) -> tuple[IntArray, IntArray]:
+def explained(
+    local: Array, residual: Array, limit: float = 4.7, sound: tuple[int, ...] = ()
+) -> tuple[IntArray, IntArray]:
     """Readings of a point that nothing else is known of; the limit falls with the share of gross errors."""
     free = np.eye(len(local)) - local @ np.linalg.pinv(local)
-    return compared_sets(free, free @ residual, Bulk(1.0, 200.0, limit, 0.5 * limit**2))
+    known = np.isin(np.arange(len(local)), sound)
+    return compared_sets(free, free @ residual, Bulk(1.0, 200.0, limit, 0.5 * limit**2), known)
 
 
 def test_three_of_eight_are_told_from_one_another() -> None:
@@ -44,6 +47,14 @@ def test_one_of_four_stations_read_once_leaves_all_in_doubt() -> None:
     residual[2] += 80.0
     found = explained(STATIONS, residual)
     assert found[1].tolist() == [0, 1, 2, 3]
+
+
+def test_which_of_two_is_told_where_one_is_known_to_be_sound() -> None:
+    residual = NOISE[[0, 1, 2, 4]].copy()
+    residual[3] += 50.0
+    found = explained(LOCAL[[0, 1, 2, 4]], residual, sound=(0,))
+    assert found[0].tolist() == [3]
+    assert not len(found[1])
 
 
 def test_sound_readings_are_all_kept() -> None:

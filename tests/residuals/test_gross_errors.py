@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
@@ -102,6 +103,22 @@ def test_what_a_doubtful_reading_decided_is_decided_anew() -> None:
     found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert rows <= {o.row for o in found}
     assert all(o.ambiguous for o in found if o.row not in rows)
+
+
+@pytest.mark.long(but=("1",))
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_wrong_readings_at_the_ends_where_the_reversal_varies_along_the_axis(seed: int) -> None:
+    """Those that a level of their neighbours predicts are in no set, and so the wrong one of their place is found."""
+    rng, at = np.random.default_rng(seed), np.linspace(0.0, 0.8, 17)
+    x, sense = np.tile(np.append(at, at[::-1]), 3), np.tile(np.repeat([1.0, -1.0], 17), 3)
+    slow = 2e-6 * np.sin(5.0 * x + seed)
+    read = slow - (1e-6 + 3e-6 * np.exp(-(((x - 0.55) / 0.08) ** 2))) * sense + 2e-7 * rng.normal(size=len(x))
+    read[[0, 50, 68]] += [9e-6, -12e-6, 7e-6]
+    columns = {"time": 5.0 * np.arange(102), "x": x, "dir_x": sense, "gx": 1 + 0 * x, "gy": 0 * x, "gz": 0 * x}
+    session = plates.session(columns | {"displacement": read}, 2e-7, "none", ("EXX",), np.repeat([0, 1, 2], 34))
+    found = diagnose(session)
+    assert found.accepted == ("lost_motion_x",)
+    assert [one.row for one in found.set_aside[0]] == [50, 0, 68]
 
 
 @pytest.mark.long(but=("rotary_axis", "tracking_2d", "probing_cross"))

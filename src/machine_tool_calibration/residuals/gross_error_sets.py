@@ -171,7 +171,7 @@ def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
     return np.flatnonzero(gross)
 
 
-def compared_sets(inverse: Array, pulled: Array, bulk: Bulk) -> tuple[IntArray, IntArray]:
+def compared_sets(inverse: Array, pulled: Array, bulk: Bulk, sound: BoolArray) -> tuple[IntArray, IntArray]:
     """All sets of gross errors among a few readings; where these are too many, those that the best of fewer grow into.
 
     One step after the other is not enough here: two wrong readings may agree with each other better than each does
@@ -181,6 +181,7 @@ def compared_sets(inverse: Array, pulled: Array, bulk: Bulk) -> tuple[IntArray, 
         inverse: (k, k) A.
         pulled: (k,) b.
         bulk: its limit as of `best_set`; what may as well be wrong is compared by the prior odds alone.
+        sound: (k,) which are in none of the sets.
 
     Returns:
         The set with the most evidence, and the readings in which others that are probable differ from it.
@@ -197,7 +198,7 @@ def compared_sets(inverse: Array, pulled: Array, bulk: Bulk) -> tuple[IntArray, 
         if most - count * cost < max(float(one.max()) for one in evidence) - priors.SAME_EVIDENCE:
             break
         seen = np.einsum("sjj->sj", left)
-        able = ~sets[-1] & (seen > _UNSEEN)
+        able = ~sets[-1] & ~sound & (seen > _UNSEEN)
         if comb(k, count) <= _SETS:
             able &= np.arange(k) > last[:, None]
         else:

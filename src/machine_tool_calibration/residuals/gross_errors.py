@@ -169,7 +169,8 @@ class _Search:
         doubtful: rows that are judged in any case.
         pattern: whether courses of the runs were subtracted from the readings.
         explained: (n,) which readings a course of their run or their repeats explain.
-        bent: (n,) those among them that are beside a step or a bend of the machine, which the model cannot follow.
+        right: (n,) those among them that are beside a step or a bend of the machine, which the model cannot follow.
+        bent: (n,) those of which no other reading of their place is left.
     """
 
     def __init__(self, model: MethodModel, doubtful: Sequence[int] = ()) -> None:
@@ -186,7 +187,8 @@ class _Search:
         self.n = self.part.n_readings
         theta, local = self.problem.zero
         self.start = theta, local[0]
-        self.pattern, self.explained, self.bent = False, np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
+        self.pattern = False
+        self.explained, self.right, self.bent = np.zeros((3, self.n), dtype=bool)
 
     @classmethod
     def of(cls, session: Session, build: Callable[[Session], MethodModel]) -> Self:
@@ -357,16 +359,13 @@ class _Search:
         which = np.unique(np.concatenate([held[:0], *wanted]))
         joint = fit.joint(which)
         for mine in wanted:
-            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.bulk)
+            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.bulk, self.right[mine])
             found[mine] = False
             found[mine[gross]] = True
             if len(gross) and len(other):
                 either, doubtful = mine[np.union1d(other, gross)], mine[other]
                 doubtful = doubtful[~self.explained[doubtful]]
-                if len(doubtful) == 1 and self.explained[mine[gross]].all():
-                    found[doubtful] = True  # what was taken for wrong in its place is right
-                else:
-                    alike |= {int(k): doubtful for k in either[~self.explained[either]]}
+                alike |= {int(k): doubtful for k in either[~self.explained[either]]}
         return np.flatnonzero(found & ~self.explained), alike
 
     def _together(self, held: IntArray, fit: _Fit) -> BoolArray:
@@ -392,7 +391,7 @@ class _Search:
         missed, noise = residual[which] * self.sigma[which], bulk.scale * self.sigma[which]
         bent = self.neighbours.one_side(which, self.readings.displacement, self.way, missed, noise, bulk.limit)
         bent &= np.abs(missed) < _COURSE
-        self.explained[which[bent]] = True
+        self.explained[which[bent]] = self.right[which[bent]] = True
         self.bent[which[bent]] = np.bincount(self._any_side)[self._any_side[which[bent]]] == 1
         return bent
 
