@@ -4,11 +4,16 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis import adding
 from machine_tool_calibration.diagnosis.adding import add_probable, explain_nearly_all
+from machine_tool_calibration.diagnosis.consequence import consequences
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.model import Kind, Parameter
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 
 def fitted(chi_square: float) -> Any:
@@ -48,3 +53,30 @@ def test_a_size_that_others_hide_is_judged_beside_them(
     assert added.accepted == accepted
     assert len(added.fitted) == len(accepted) + 1
     assert added.refused == ({} if "a" in accepted else {"a": "no size"})
+
+
+def test_a_look_alike_is_told_in_the_place_of_what_was_added() -> None:
+    """A servo lag of Y is minus one of X; by itself, without both backlashes, neither has the size that it has."""
+    hidden = {"backlash_x": 3e-6, "backlash_y": -2e-6, "servo_mismatch_y": 2e-4}
+    flaws = tuple(FlawSpec(id=name, size=size) for name, size in hidden.items())
+    found = diagnose(simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=4, effects=flaws)).session)
+    assert set(found.accepted[:2]) == {"backlash_x", "backlash_y"}
+    told = consequences(found, most=1)
+    one, other = told["servo_mismatch_x"], told["servo_mismatch_y"]
+    (lag,), (opposite,) = one.parameters, other.parameters
+    assert lag.value == pytest.approx(-opposite.value, rel=1e-6)
+    assert opposite.value == pytest.approx(2e-4, abs=3 * opposite.standard_uncertainty)
+    assert (one.rms_before, one.rms_after) == pytest.approx((other.rms_before, other.rms_after))
+    assert found.search.of(found.accepted[2]).probability >= 0.999 * max(
+        found.search.of(name).probability for name in ("servo_mismatch_x", "servo_mismatch_y")
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "occurs"), [(8e-5, 1e-6, True), (1e-3, 1e-5, False), (-1e-3, 1e-5, False), (1.1e-4, 1e-5, True)]
+)
+def test_a_size_beside_others_is_one_that_occurs(value: float, u: float, occurs: bool) -> None:
+    parameter = Parameter("wave.s", "m", low=-5e-5, high=5e-5, kind=Kind.EFFECT, owner="wave")
+    published = SimpleNamespace(determined=[True], theta=[value], covariance=np.array([[u**2]]))
+    fit: Any = SimpleNamespace(published=published, assembly=SimpleNamespace(parameters=[parameter]))
+    assert adding._occurs(fit, "wave") is occurs

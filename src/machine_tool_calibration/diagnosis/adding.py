@@ -145,6 +145,9 @@ def _spurious(
     least; else one that decays and explains less than a special case of it. The fit `before` has none of them.
     """
     after, last = fit_with(names).joint, names[-1]
+    # Each by itself is of a size that occurs; two that nearly take each other back need not be.
+    if len(names) > 1 and (huge := [name for name in names if not _occurs(after, name)]):
+        return {_least_needed(huge, names, fit_with): say("undetermined.no_such_size")}
     decaying = [name for name in names if search.of(name).candidate.decays]
     # What no chance makes is there, though repeats leave room for a size of zero.
     sure = {last} if search.of(last).p_value <= priors.NO_CHANCE and last not in decaying else set[str]()
@@ -168,6 +171,18 @@ def _spurious(
     if best is None or instead[best] >= after.solution.chi_square:
         return {}
     return {best[0]: say("undetermined.less_than_simpler", names=together(cases[best[0]], say("text.and")))}
+
+
+def _occurs(fit: JointFit, name: str) -> bool:
+    """Whether all coefficients of an effect in the model are of a size that occurs, as far as they are certain."""
+    published = fit.published
+    for k, own in enumerate(fit.assembly.parameters):
+        if own.kind is Kind.EFFECT and own.owner == name and published.determined[k] and own.low is not None:
+            most = max(abs(own.low), abs(own.high or 0.0))
+            margin = min(priors.SIZE_MARGIN * float(published.covariance[k, k]) ** 0.5, most)
+            if abs(own.reference + published.theta[k]) > priors.BEYOND * most + margin:
+                return False
+    return True
 
 
 def _no_size(names: Sequence[str]) -> Said:

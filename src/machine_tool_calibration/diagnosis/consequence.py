@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
@@ -46,19 +47,27 @@ def consequences(
     """What each of the best candidates would change; of those accepted, what each did change, in their order.
 
     The coefficients of accepted effects are those with all of them in the model; what is `added` to variances is in
-    their uncertainties. By id, so many beside those accepted at `most`; without a candidate that cannot be fitted.
+    their uncertainties. What looks like an accepted one is added in its place, beside the others; else each by itself.
+    By id, so many beside those accepted at `most`; without a candidate that cannot be fitted.
     """
     out = {}
     accepted, fitted = diagnosis.accepted, diagnosis.fitted
     more = added(fitted[-1]) if accepted else {}
     for name, before, after in zip(accepted, fitted[:-1], fitted[1:], strict=True):
         out[name] = _consequence(name, before, after, fitted[-1].joint, more)
+
+    @cache
+    def fit_with(names: tuple[str, ...]) -> FittedSessions:
+        return fit_sessions(diagnosis.searched.adding(names)) if names else fitted[0]
+
     for name in [f.name for f in diagnosis.ranked if f.rank and f.name not in accepted][:most]:
+        alike = next((group for group in diagnosis.search.groups if name in group), ())
+        beside = tuple(one for one in accepted if one not in alike) if set(alike) & set(accepted) else ()
         try:
-            alone = fit_sessions(diagnosis.searched.adding([name]))
+            before, after = fit_with(beside), fit_with((*beside, name))
         except ModelError:
             continue
-        out[name] = _consequence(name, fitted[0], alone, alone.joint, added(alone))
+        out[name] = _consequence(name, before, after, after.joint, added(after))
     return out
 
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 
-# How far repeats of a place reach, m or rad: more is another place. And how many times as far places are apart at least.
+# How far repeats of a place reach, m or rad: more is another place; and how many times as far places are apart.
 _REACH, _APART = 1e-5, 100.0
 _THE_SAME = 1e-9  # m or rad: positions that are equal to this are written alike
 _DECIMALS = 9  # of a position that is commanded, at most
@@ -34,7 +34,7 @@ def commanded(position: Array, unit: float = 1.0) -> Array:
     are_repeats = _THE_SAME < reach < min(_REACH, sizes[split + 1] / _APART)
     if not are_repeats or len(position) < _REPEATS * len(first):
         return position
-    return _roundest(low, high, unit)[place[number.reshape(-1)]]
+    return np.asarray(_roundest(low, high, unit)[place[number.reshape(-1)]])
 
 
 def _roundest(low: Array, high: Array, unit: float) -> Array:

@@ -65,6 +65,12 @@ class Candidate:
         return () if self.effect is None else self.effect.contains
 
     @property
+    def kind(self) -> str:
+        """What it has in common with those that differ from it by their axis alone, as backlash_x from backlash_y."""
+        first, _, last = self.name.rpartition("_")
+        return first if last in tuple("xyzabc") else self.name
+
+    @property
     def is_seldom(self) -> bool:
         """Whether it is an effect beside which others are usual."""
         return self.effect is not None and self.effect.seldom

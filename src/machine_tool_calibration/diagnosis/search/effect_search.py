@@ -311,7 +311,9 @@ def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Se
     size = {k: len(columns.candidates[k].shapes[0].columns) for k in group}
     best = max(group, key=lambda k: probability[k])
     alike = [k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
-    return min(alike, key=lambda k: (_is_unusual(columns, found, k), k))
+    kind = {k: columns.candidates[k].kind for k in alike}
+    first = {kind[k]: k for k in sorted(alike, reverse=True)}  # of those that differ by their axis none is commoner
+    return min(alike, key=lambda k: (_is_unusual(columns, found, k), first[kind[k]], -probability[k], k))
 
 
 def _is_unusual(columns: Columns, found: Posterior, k: int) -> bool:
