@@ -32,6 +32,9 @@ CORNERS = {("0.0", "0.0"), ("0.4", "0.0"), ("0.0", "0.4"), ("0.4", "0.4")}
         ("tracking_2d", lambda row: (row["x"], row["y"]) in CORNERS,
          "too few readings: 4 targets and 4 stations leave 8 conditions for the 9 unknowns of the stations; measure "
          "more targets from all stations"),
+        ("tracking_2d", lambda row: row["setup"] in "AB" and (row["x"], row["y"]) in CORNERS,
+         "too few readings: 4 targets and 2 stations leave 0 conditions for the 3 unknowns of the stations; measure "
+         "from 3 stations"),
         ("rotary_axis", lambda row: row["setup"] in "AC",
          "2 stations; rotary_axis needs at least 3 (no reading from B, D)"),
         ("rotary_axis", lambda row: row["setup"] != "B" and row["target"] != "P",

@@ -6,12 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import groups, means_of, rms
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
@@ -26,7 +25,8 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.residuals.places import alike_beside_p
+from machine_tool_calibration.residuals.noise import squares_of_its_own
+from machine_tool_calibration.residuals.places import alike_beside_p, differ_by_setup
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -50,8 +50,6 @@ _MEMORY = 1.5
 _SHARED = 0.7
 # Effects that are the reversal of an axis.
 _OF_REVERSAL = ("backlash", "lost_motion")
-# Share of what places differ by that is most of it.
-_MOST = 0.5
 
 
 def verdict_words(
@@ -110,8 +108,9 @@ def _scatters(diagnosis: Diagnosis) -> bool:
 def left_words(diagnosis: Diagnosis) -> Iterator[str]:
     """What to make of structure that is left where nothing is missing: one sentence."""
     if good_enough(diagnosis):
-        yield say("diagnosis.small_in_map" if _scatters(diagnosis) else "diagnosis.good_enough")
-    elif diagnosis.left and diagnosis.verdict in ("adequate", "outliers"):
+        small = say("diagnosis.small_in_map" if _scatters(diagnosis) else "diagnosis.good_enough")
+        yield small if diagnosis.left else say("diagnosis.may_be_left", p=probability(1.0 - diagnosis.nothing))
+    elif diagnosis.verdict in ("adequate", "outliers") and any(s.covariate not in _OF_PLACES for s in diagnosis.left):
         yield say("diagnosis.structure_unsure")
 
 
@@ -198,7 +197,8 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
             timed = all(model.observations.timed for model in fit.assembly.models)
             return say("next.runs" if timed else "next.runs_untimed")
         if fit_quality(fit.p_value) != "bad":
-            return say("next.nothing")
+            known = np.isfinite(diagnosis.fitted[-1].error_map.error).any()
+            return say("next.nothing" if known else "next.undetermined")
         what = f"next.{_what_scatters(diagnosis)}"
         return say(what, ratio=rounded(np.sqrt(fit.reduced_chi_square)))
     return say("next.smaller", measure=best.measure)
@@ -217,7 +217,7 @@ def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter",
     more = max(size for size in (noise.as_read, noise.from_repeats) if size is not None) > noise.declared
     if more and by_repeats(_PARTLY):
         return "scatter" if by_repeats(priors.AS_NOISY) else "both"
-    moves = any(one.moves for one in observed) and not _differ_by_setup(diagnosis.fits[-1])
+    moves = any(one.moves for one in observed) and not differ_by_setup(diagnosis.fits[-1].fits)
     return "places" if moves else "setups"
 
 
@@ -348,7 +348,10 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         known = {"method": method, "model": whole.model_name, "used": used, "p_value": p_value, "error_map": content}
         yield from free_words(known)
     elif fit_quality(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
-        yield say("diagnosis.no_noise", ratio=rounded(ratio))
+        squares = map(squares_of_its_own, fit.fits)
+        own = zip(fit.assembly.labels or (), (rounded(np.sqrt(whole / left)) for whole, left in squares), strict=False)
+        each = together([say("diagnosis.times", name=name, ratio=times) for name, times in own], ", ")
+        yield say("diagnosis.scatter_of_each", ratio=rounded(ratio), each=each)
     # Where both directions are a reversal apart, that is no difference of places.
     found = one_direction(whole.error_map.content) or ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
@@ -358,23 +361,11 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         alike = any(p is not None and p < priors.STRUCTURE_P for p in probabilities)
         if alike or not patterns:
             moves = any(own.model.observations.moves for own in fit.fits)
-            apart = ("setups_differ" if _differ_by_setup(fit) else "places_differ") if moves else "targets_differ"
-            key = "places_alike" if alike else apart
+            by_place = "places_alike" if alike else "places_differ"
+            key = ("setups_differ" if differ_by_setup(fit.fits) else by_place) if moves else "targets_differ"
             yield say(f"diagnosis.{key}", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.left:
         yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
-
-
-def _differ_by_setup(fit: JointFit) -> bool:
-    """Whether most of what places differ by is what each of them differs by from setup to setup."""
-    between = of_setups = 0.0
-    for own in fit.fits:
-        seen, residual = own.model.observations, own.residuals
-        at = groups(*seen.position.T, *seen.direction.T)
-        state = groups(at, seen.readings.setup)
-        whole, each = means_of(at, residual), means_of(state, residual)
-        between, of_setups = between + float(each @ each), of_setups + float((each - whole) @ (each - whole))
-    return of_setups > _MOST * between
 
 
 def mounted_more_than_once(session: Session) -> bool:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether what a model leaves at a place resembles what it leaves at the places beside it."""
+"""What a model leaves at a place: whether it is that of the places beside it, and of every setup."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import spatial, special
@@ -10,6 +12,8 @@ from machine_tool_calibration.model.observations import SAME_POSITION
 
 # Fewer places than this have no pattern, and more than this are not compared; nearest places per axis that moved.
 _FEWEST_PLACES, _MOST_PLACES, _NEAREST = 12, 1500, 2
+# Share of their squares from which what places differ by is of setups.
+_MOST_OF_THEM = 0.5
 
 
 def alike_beside_p(fit: Fit) -> float | None:
@@ -39,6 +43,18 @@ def alike_beside_p(fit: Fit) -> float | None:
     if not pairs.any() or not mean.any():
         return None
     return float(special.ndtr(-_moran(mean, pairs)))
+
+
+def differ_by_setup(fits: Sequence[Fit]) -> bool:
+    """Whether most of what places differ by is what each of them differs by from setup to setup."""
+    between = of_setups = 0.0
+    for own in fits:
+        seen, residual = own.model.observations, own.residuals
+        at = groups(*seen.position.T, *seen.direction.T)
+        state = groups(at, seen.readings.setup)
+        whole, each = means_of(at, residual), means_of(state, residual)
+        between, of_setups = between + float(each @ each), of_setups + float((each - whole) @ (each - whole))
+    return of_setups > _MOST_OF_THEM * between
 
 
 def _beside(where: Array, kind: IntArray, count: int) -> Array:

@@ -29,6 +29,7 @@ from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.result import effect_signal
 from machine_tool_calibration.residuals.noise import Noise, noise_of
+from machine_tool_calibration.residuals.places import differ_by_setup
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import lasting, say
 
@@ -269,7 +270,7 @@ def _accepted(
 
     Each given those before it: what is likely in different sets is not for that likely together. The surest is
     accepted from the first of two probabilities, those beside it from the second. One of many that share the
-    probability stands for none: something is missing, and nobody knows what.
+    probability, so that none of them at all is likelier, stands for none: nobody knows what is missing, if anything.
     """
     place = columns.place
     left = [[place[name] for name in group] for group in groups]
@@ -282,7 +283,8 @@ def _accepted(
         if probabilities[best] <= limits[bool(accepted)]:
             break
         each = np.sort([found.of(k, given=accepted) for k in left[best]])[::-1]
-        if each[: priors.MOST_ALIKE].sum() >= priors.OF_FEW * each.sum():
+        stands = found.of(heads[best], given=accepted) > 1.0 - probabilities[best]  # is likelier than that none is
+        if stands and each[: priors.MOST_ALIKE].sum() >= priors.OF_FEW * each.sum():
             accepted.append(heads[best])
         del left[best]
     accepted.sort(key=lambda k: -found.log_factor(k))
@@ -396,7 +398,8 @@ def of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
             continue  # a place is not even the same from run to run
         if p is not None and p < priors.LACK_OF_FIT_P:
             what = "place" if own.model.observations.moves else "target"
-            out.append(Structure(what, say(f"shape.{what}s_differ"), p, noise.of_places))
+            how = "shape.setups_differ" if what == "place" and differ_by_setup([own]) else f"shape.{what}s_differ"
+            out.append(Structure(what, say(how), p, noise.of_places))
     return tuple(out)
 
 

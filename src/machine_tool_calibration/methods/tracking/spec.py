@@ -146,16 +146,19 @@ def _enough_targets(session: Session, dimension: int, measured: BoolArray, place
         raise SessionError(f"{place.readings}: {what}; {method} needs targets spread over a plane")
     stations = session.readings.setup[measured]
     pairs = np.flatnonzero(np.bincount(index * len(session.setup_ids) + stations))
-    redundant = np.clip(np.bincount(pairs // len(session.setup_ids)) - dimension, 0, None).sum()
+    seen_by = np.bincount(pairs // len(session.setup_ids))
+    redundant = np.clip(seen_by - dimension, 0, None).sum()
     count = len(np.unique(stations))
     unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
     # Rigid bodies have three or six error motions at every position of every axis, however many targets there are.
     at_axes = sum(len(distinct_places(points[:, j : j + 1])[0]) for j in range(dimension))
     rigid = (dimension + 1) * count + (3 if dimension == 2 else 6) * at_axes
     if redundant < unknown and len(pairs) < rigid:
+        # Three readings of a target are three unknowns, however many targets there are.
+        lack = "more targets from all stations" if seen_by.max() > dimension else f"from {dimension + 1} stations"
         raise SessionError(
             f"{place.readings}: too few readings: {len(points)} targets and {count} stations leave {redundant} "
-            f"conditions for the {unknown} unknowns of the stations; measure more targets from all stations"
+            f"conditions for the {unknown} unknowns of the stations; measure {lack}"
         )
 
 
