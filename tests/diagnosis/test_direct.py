@@ -3,6 +3,7 @@
 Diagnosis of places that were read once each: axes one at a time, and a machine that is no three rigid axes.
 """
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import led_by_place
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice
@@ -477,3 +479,44 @@ def test_an_effect_that_would_leave_no_reading_to_check_it_is_not_looked_for() -
     for finding in found.search.findings:
         assert all(len(shaped.columns) < spare for shaped in finding.candidate.shapes)
     assert "too few readings" in found.excluded["EXX"]
+
+
+def test_look_alikes_none_of_which_is_likelier_than_that_none_is_there_are_not_named() -> None:
+    """Ten angles of a published calibration (an autocollimator, 1 arc second as 1 µm): a wave has F(3, 5) = 1.8."""
+    table = [564.874, 564.220, 563.287, 562.509, 561.808, 561.068, 560.154, 559.319, 558.541, 557.713]
+    at = np.array([49.42, 151.0, 251.64, 350.96, 451.82, 551.86, 650.85, 751.97, 855.49, 952.11])
+    columns = {"time": 120.0 * np.arange(10.0), "x": 1e-3 * at, "displacement": -1e-6 * np.array(table)}
+    columns |= {"gx": np.ones(10), "gy": np.zeros(10), "gz": np.zeros(10)}
+    found = diagnose(plates.session(columns, 2e-8, "offset", ("EXX",)))
+    together = sum(p for names, p in found.search.sets if names)
+    assert together > 0.5  # of several effects, of which none is it
+    assert max(finding.probability for finding in found.search.findings) < found.search.nothing
+    assert (found.verdict, found.accepted) == ("adequate", ())
+
+
+def test_places_that_differ_from_setup_to_setup_are_no_matter_of_the_place() -> None:
+    """Five places, whose heights are in the table, under nine loads, a setup and three readings each."""
+    rng = np.random.default_rng(4)
+    at, setup = np.tile(np.repeat(np.linspace(0.0, 0.4, 5), 3), 9), np.repeat(np.arange(9), 15)
+    bent = 3e-5 * rng.normal(size=(9, 5))
+    read = bent[setup, np.tile(np.repeat(np.arange(5), 3), 9)] + 1e-6 * rng.normal(size=135)
+    columns = {"x": at, "gx": 0 * at, "gy": 0 * at, "gz": 1 + 0 * at, "displacement": read}
+    names = [f"L{k}" for k in range(9)]
+    found = diagnose(plates.session(columns, 1e-6, "none", ("EZX",), None, *names, setup=setup.tolist()))
+    told = [key for words in verdict_words(found, {}, Advice()) for key in keys(words)]
+    assert "diagnosis.places_alike" not in told and "diagnosis.places_differ" not in told
+    assert "diagnosis.structure_unsure" not in told
+    assert any("shape.setups_differ" in keys(structure.shape) for structure in found.left)
+
+
+def test_of_several_sessions_it_is_told_how_far_each_scatters() -> None:
+    def level(scatter: float, seed: int) -> Session:
+        at, rng = np.tile(np.linspace(0.0, 0.4, 9), 6), np.random.default_rng(seed)
+        columns = {"x": at, "gx": 1 + 0 * at, "gy": 0 * at, "gz": 0 * at, "displacement": scatter * rng.normal(size=54)}
+        return plates.session(columns, 1e-6, "none", ("EXX",), np.repeat(np.arange(6), 9))
+
+    found = diagnose(FitRequest((level(1e-6, 1), level(3e-6, 2)), labels=("one", "other")))
+    (told,) = [str(words) for words in verdict_words(found, {}, Advice()) if "diagnosis.scatter_of_each" in keys(words)]
+    each = dict(re.findall(r"(one|other) ([\d.]+) times", told))
+    assert float(each["one"]) == pytest.approx(1.0, abs=0.25)
+    assert float(each["other"]) == pytest.approx(3.0, abs=0.7)
