@@ -57,3 +57,14 @@ def test_an_expansion_is_as_large_as_it_is_however_its_sensor_scatters() -> None
     (k, *_) = found.sizes(["thermal_expansion_x"])
     assert k.value == pytest.approx(1.15e-5, abs=2.5 * k.standard_uncertainty)
     assert k.standard_uncertainty < 1e-6
+
+
+@pytest.mark.parametrize("apart", [1e-13, 1e-6, 0.1])
+def test_readings_of_nearly_one_moment_are_of_one(apart: float) -> None:
+    """Two instruments that are read at once, or a pass that ends where the next begins."""
+    rng, time = np.random.default_rng(5), np.arange(400.0)
+    course = 20.0 + 2.0 * (1.0 - np.exp(-time / 200.0))
+    twice = np.sort(np.append(time, time[::7] + apart))
+    read = np.interp(twice, time, course) + 0.03 * rng.normal(size=len(twice))
+    found = without_noise(twice, read)
+    assert np.std(found - np.interp(twice, time, course)) < 0.4 * 0.03

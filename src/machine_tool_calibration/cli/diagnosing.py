@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from machine_tool_calibration.reports.identification import Measured
     from machine_tool_calibration.session.session import Session
 
+# Share of a reduced chi-square below which another one is better, and not another of its look-alikes.
+_CLEARLY_LESS = 0.999
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -125,7 +128,7 @@ class Wanted:
             return
         more, aside = [name for name in entry.effects if name not in fit.effects], entry.readings_aside
         chi, now = entry.reduced_chi_square, fit.reduced_chi_square
-        if not (more or aside) or (chi is not None and chi >= now):
+        if not (more or aside) or (chi is not None and chi >= _CLEARLY_LESS * now):
             return
         what = [", ".join(more)] if more else []
         what += [f"{aside} reading{'' if aside == 1 else 's'} set aside"] if aside else []

@@ -22,15 +22,23 @@ from machine_tool_calibration.arrays import Array
 _APART = 120.0
 # The share of the mean square of predictions that must be gained, and the fewest and most readings that are looked at.
 _GAINED, _FEWEST, _MOST = 0.9, 12, 20_000
+# Share of the usual step in time, below which readings are of one moment.
+_NEAR = 0.25
 _STRENGTHS = np.geomspace(1e-1, 1e9, 21)
 
 
 def without_noise(time: Array, value: Array) -> Array:
     """(n,) values at times (n,), s, in any order, without the sensor's noise; as they are where nothing tells of it."""
-    moments, place, count = np.unique(time, return_inverse=True, return_counts=True)
+    moments = np.unique(time)
+    if len(moments) < _FEWEST:
+        return value
+    # Closer ones are one moment: what a course does between them would outweigh everything else.
+    step = np.diff(moments)
+    place = np.append(0, np.cumsum(step > _NEAR * np.median(step)))[np.searchsorted(moments, time)]
+    count = np.bincount(place)
+    moments = np.bincount(place, time) / count
     if not _FEWEST <= len(moments) <= _MOST or np.median(np.diff(moments)) > _APART or not np.ptp(value) > 0.0:
         return value
-    place = place.reshape(-1)
     given = np.bincount(place, value) / count
     halves = [(slice(k, None, 2), slice(1 - k, None, 2)) for k in (0, 1)]
 

@@ -119,7 +119,7 @@ def _mapped(fit: Fit, effects: Sequence[str]) -> IntArray:
     """The readings of which the map of direct deviations has a row: the first in each state at each place."""
     position = fit.model.observations.position
     fields = [t.field for t in fit.model.terms if t.name in effects and t.field is not None]
-    return first_states(position, np.concatenate([np.zeros((0, len(position), 3)), *fields]))
+    return first_states(position, np.concatenate([np.zeros((0, len(position), 3)), *fields]))[0]
 
 
 def _nearest(points: Array, places: Array, approach: Array) -> tuple[IntArray, IntArray]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.estimation.sensor_noise import without_noise
 from machine_tool_calibration.model.rounding import by_rounding
 from machine_tool_calibration.session.session import Readings, Session, joined
@@ -134,7 +134,11 @@ def together(observed: Sequence[Observations]) -> Observations:
     return replace(observed[0], readings=joined([o.readings for o in observed]), rotation_direction=None, **arrays)
 
 
-def first_states(position: Array, fields: Array) -> IntArray:
-    """The first reading of each position (n, 3), once for every different state there of displacements (k, n, 3)."""
+def first_states(position: Array, fields: Array) -> tuple[IntArray, IntArray]:
+    """The states of the readings: what differs in position (n, 3), or there in displacements (k, n, 3).
+
+    The first reading of each, and the number (n,) of the state of every reading among these.
+    """
     key = np.concatenate([np.round(position * 1e9), fields.transpose(1, 0, 2).reshape(len(position), -1)], axis=1)
-    return np.sort(np.unique(key, axis=0, return_index=True)[1])
+    state = in_order_of_appearance(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1))
+    return np.unique(state, return_index=True)[1], state

@@ -44,7 +44,7 @@ _MOST_ROWS, _IN_A_ROW = 60, 6
 class Family:
     """Groups of readings that have a random function each, all of one size."""
 
-    name: str  # run, mounting, pass, or rows of equal x
+    name: str  # run, mounting, pass, centre, or rows of equal x
     group: IntArray  # (n,) index of the group of each reading, from 0
     shapes: Array  # (d, n) values of the group's d functions, of a size of about 1
     offset: bool = True  # whether the first function is one
@@ -123,7 +123,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
 
     Runs (a setup in one repeat, for one target) and mountings (a stretch of consecutive readings of one setup), which
     are one family where they are the same. Of direct deviations runs and passes over one axis; of a plate its runs, and
-    the rows and columns of a grid of holes that were drilled one after the other.
+    the rows and columns of a grid of holes that were drilled one after the other; of circles runs and their centres.
     """
     if spec_of(observations.session).reads_machine:
         return tuple(family for family in _of_direct(observations) if family.shapes.any())
@@ -232,6 +232,10 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     if len(moved) >= 2:
         if _tell(observations.place, run):
             yield _family(observations, "run", run)
+            if spec_of(observations.session).centred:
+                shifts = observations.direction[:, moved].T.copy()
+                yield Family("centre", in_order_of_appearance(run), shifts, offset=False)
+                return
         yield from _rows(observations, moved)
         return
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.

@@ -11,6 +11,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
@@ -348,10 +349,7 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         known = {"method": method, "model": whole.model_name, "used": used, "p_value": p_value, "error_map": content}
         yield from free_words(known)
     elif fit_quality(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
-        squares = map(squares_of_its_own, fit.fits)
-        own = zip(fit.assembly.labels or (), (rounded(np.sqrt(whole / left)) for whole, left in squares), strict=False)
-        each = together([say("diagnosis.times", name=name, ratio=times) for name, times in own], ", ")
-        yield say("diagnosis.scatter_of_each", ratio=rounded(ratio), each=each)
+        yield from _scatter_of_each(fit)
     # Where both directions are a reversal apart, that is no difference of places.
     found = one_direction(whole.error_map.content) or ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
@@ -366,6 +364,18 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
             yield say(f"diagnosis.{key}", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.left:
         yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
+
+
+def _scatter_of_each(fit: JointFit) -> Iterator[Said]:
+    """How far the readings of every session scatter; of a single one where it is not what runs differ by."""
+    ratio = rounded(np.sqrt(fit.reduced_chi_square))
+    if fit.assembly.labels is not None:
+        squares = map(squares_of_its_own, fit.fits)
+        own = zip(fit.assembly.labels, (rounded(np.sqrt(whole / left)) for whole, left in squares), strict=True)
+        each = [say("diagnosis.times", name=name, ratio=times) for name, times in own]
+        yield say("diagnosis.scatter_of_each", ratio=ratio, each=together(each, ", "))
+    elif not any(reproducibility_words([size.document() for size in fit.marginal.sizes])):
+        yield say("diagnosis.no_noise", ratio=ratio)
 
 
 def mounted_more_than_once(session: Session) -> bool:

@@ -45,6 +45,7 @@ class MethodSpec:
     # machine's or the part's own, of which the declared uncertainty knows nothing, and the error map holds the
     # displacements by the effects, reading by reading
     reads_machine: ClassVar[bool] = False
+    centred: ClassVar[bool] = False  # whether all places of a setup lie about a centre, which may move between runs
     probes_surface: ClassVar[bool] = False  # whether readings sense a surface along its normal, turning with the table
     turns_one_axis: ClassVar[bool] = False  # whether a run turns one rotary axis, angle after angle
     # whether a setup states a run, move after move: their order matters even where the directions of approach do not,

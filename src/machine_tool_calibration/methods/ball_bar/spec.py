@@ -32,7 +32,7 @@ class CircleSpec(MethodSpec):
     models: ClassVar = {
         "circle": "the only one: centre and length of the bar in every setup; squareness and difference of the scales"
     }
-    reads_deviations = reads_machine = True
+    reads_deviations = reads_machine = centred = True
     by_axes = ("circle",)
     steps = "machine_tool_calibration.methods.ball_bar.steps:circle_steps"
     planned = "machine_tool_calibration.methods.ball_bar.steps:nominal"

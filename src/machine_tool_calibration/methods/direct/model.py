@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, rigid_motions, rms, unsigned
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, means_of, rigid_motions, rms, unsigned
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.chain import Chain
@@ -346,12 +346,14 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     none = np.zeros((0, n, 3))
     terms = model.terms[len(tables) :]
     effects = [np.zeros((len(t.parameters), n, 3)) if t.field is None else t.field * sensed for t in terms]
-    first = first_states(observations.position, np.concatenate([none, *effects]))
+    first, state = first_states(observations.position, np.concatenate([none, *effects]))
     points = observations.position[first]
     # Many readings may be of few places.
     of_tables = map_field(tables, points) * sensed
     field = np.concatenate([of_tables, *(one[:, first] for one in effects)])
-    told = observations.readings.columns
+    ways = (observations.readings.columns.get(f"dir_{axis}", np.zeros(n)) for axis in "xyz")
+    # 0 where it makes no difference, and the place was approached from either side
+    approach = np.trunc([means_of(state, way)[first] for way in ways]) + 0.0
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
     common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction)
@@ -368,7 +370,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error": error,
         "position_error_u": uncertainty,
         "row": observations.readings.row[first],
-        "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
+        "approach": approach.T,
         **(
             {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
         ),
