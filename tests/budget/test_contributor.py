@@ -39,8 +39,8 @@ def test_size_and_moments_of_the_draws(said: dict[str, Any], u: float) -> None:
 
 
 def test_few_degrees_of_freedom_have_longer_tails() -> None:
-    one = Contributor(**{**GOOD, "type": "A"}, standard_uncertainty=1.0, degrees_of_freedom=5)
-    values = one.draw(np.random.default_rng(2), 40_000)
+    one = Contributor(**{**GOOD, "type": "A"}, standard_uncertainty=1e-6, degrees_of_freedom=5)
+    values = one.draw(np.random.default_rng(2), 40_000) / 1e-6
     # Variance of Student's t: 5 / 3.
     assert np.var(values) == pytest.approx(5.0 / 3.0, rel=0.1)
 
@@ -67,6 +67,7 @@ LINE = "- {name: a, type: B, enters: reading, varies: run, standard_uncertainty:
         (HEAD + LINE + ", coverage_factor: 2}\n", "expanded and coverage_factor belong together"),
         (HEAD + LINE.replace("standard_uncertainty", "half_width") + "}\n", "a normal distribution has no ends"),
         (HEAD + LINE + ", degrees_of_freedom: 0}\n", "degrees_of_freedom must be at least 1, not 0"),
+        (HEAD + LINE.replace("1.0e-6", "0.5") + "}\n", "line 3: .*uncertainty of 0.5 m is none of .*SI units"),
         (HEAD + LINE + ", expansion: 1.0e-5}\n", "expansion .* belongs to what enters by temperature"),
         (
             HEAD + LINE.replace("enters: reading", "enters: temperature") + "}\n",

@@ -82,6 +82,8 @@ def test_procedures_that_the_package_brings_can_be_planned(file):
         ("y: [0.1, 0.2]", "a: [0.1, 0.2]", "procedure small: path names the axis 'a'; the machine has c, x, y, z"),
         ("y: [0.1, 0.2]", "y: []", "small.yaml line 14: path: grid.y has no position"),
         ("count: 3", "count: 1000000", "small.yaml line 14: path: grid has 2000000 targets; at most 1000000"),
+        ("{dwell: 1.0}", "{dwell: 1.0e+300}", "small.yaml line 16: motion.dwell"),
+        ("{dwell: 1.0}", "{speed: {x: 1.0e-30}}", "small.yaml line 16: motion.speed.x"),
         ("{dwell: 1.0}", "{speed: {q: 1.0}}", "procedure small: motion.speed names the axis 'q'; the machine has"),
     ],
 )

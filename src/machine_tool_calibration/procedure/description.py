@@ -19,6 +19,8 @@ from machine_tool_calibration.session.record import Finite, NotNegative, Positiv
 from machine_tool_calibration.session.text import Document, load_yaml, read_text
 
 _Count = Annotated[int, Field(ge=1, le=1000)]
+_Moving = Annotated[Finite, Field(ge=1e-6, le=1e3)]  # slower nothing arrives, and faster nothing goes
+_Waiting = Annotated[Positive, Field(le=86400.0)]  # a day
 
 
 class Choices(Record):
@@ -122,9 +124,9 @@ _FROM_SESSION = Path.model_construct(
 class Motion(Record):
     """How the axes move and wait."""
 
-    speed: dict[str, Positive] = Field(default_factory=dict)  # greatest speed of each axis, m/s or rad/s
-    acceleration: dict[str, Positive] = Field(default_factory=dict)  # greatest acceleration of each, m/s² or rad/s²
-    dwell: Positive = 1.0  # time held at each target, s: settling and averaging must fit in
+    speed: dict[str, _Moving] = Field(default_factory=dict)  # greatest speed of each axis, m/s or rad/s
+    acceleration: dict[str, _Moving] = Field(default_factory=dict)  # greatest acceleration of each, m/s² or rad/s²
+    dwell: _Waiting = 1.0  # time held at each target, s: settling and averaging must fit in
     approach: NotNegative = 0.005  # length of the short move that takes up the play before the first target, m or rad
 
 

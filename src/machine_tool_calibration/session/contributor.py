@@ -27,6 +27,10 @@ UNITS: dict[str, str] = {
 }  # fmt: skip
 """Unit of a contributor's value, by how it enters."""
 
+# Largest standard uncertainty of a value that enters by a length or an angle, in its unit: what is larger is a gross
+# error, or was written in another unit.
+_MOST = {"reading": 1e-3, "along": 1e-2, "across": 1e-2, "angle": 0.1, "length": 1e-2}
+
 # Mean fourth power over the square of the variance.
 _FOURTHS = {"normal": 3.0, "rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "arcsine": 3.0 / 2.0}
 
@@ -63,6 +67,9 @@ class Contributor(Record):
             raise ValueError("half_width is for rectangular, triangular and arcsine; a normal distribution has no ends")
         if (self.enters == "temperature") != (self.expansion is not None):
             raise ValueError("expansion (1/K) belongs to what enters by temperature, and only to that")
+        if self.u > _MOST.get(self.enters, np.inf):
+            size = f"{self.u:.3g} {self.unit}" if self.unit != "1" else f"{self.u:.3g} of the length"
+            raise ValueError(f"a standard uncertainty of {size} is none of a measurement: values are in SI units")
         return self
 
     @property
