@@ -390,6 +390,7 @@ class _Search:
             return np.zeros(len(which), dtype=bool)
         missed, noise = residual[which] * self.sigma[which], bulk.scale * self.sigma[which]
         bent = self.neighbours.one_side(which, self.readings.displacement, self.way, missed, noise, bulk.limit)
+        bent |= self.neighbours.on_a_bend(which, self.readings.displacement, self.way)
         bent &= np.abs(missed) < _COURSE
         self.explained[which[bent]] = self.right[which[bent]] = True
         self.bent[which[bent]] = np.bincount(self._any_side)[self._any_side[which[bent]]] == 1

@@ -150,6 +150,23 @@ class Neighbours:
                 out[k] |= follows & (log_ratio > np.log(priors.STEPS_ARE_RARE))
         return out
 
+    def on_a_bend(self, which: IntArray, read: Array, way: Array) -> BoolArray:
+        """(k,) whether what was read bends the same way at a reading and beside it, its place having been read once.
+
+        Along a course that is too steep for a table it does; beside a wrong reading it bends the other way than there.
+
+        Args:
+            which: (k,) the readings.
+            read: (n,) what was read, m.
+            way: (n,) way of the axes up to each reading, m or rad.
+        """
+        once = np.bincount(self.elsewhere.group)[self.elsewhere.group[which]] == 1
+        values, at = (np.insert(self.run.near(which, own, 2)[1], 2, own[which], axis=1) for own in (read, way))
+        bend = np.diff(np.diff(values) / np.maximum(np.diff(at), np.finfo(float).tiny))
+        beside, own = bend[:, [0, 2]], bend[:, [1]]
+        known = np.isfinite(beside)
+        return np.asarray(once & known.any(axis=1) & (~known | (beside * own > 0.0)).all(axis=1))
+
     def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
         """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
         own, out = residual[which][:, None], np.zeros(len(which), dtype=bool)
