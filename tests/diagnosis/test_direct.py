@@ -520,3 +520,16 @@ def test_of_several_sessions_it_is_told_how_far_each_scatters() -> None:
     each = dict(re.findall(r"(one|other) ([\d.]+) times", told))
     assert float(each["one"]) == pytest.approx(1.0, abs=0.25)
     assert float(each["other"]) == pytest.approx(3.0, abs=0.7)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_what_goes_with_the_time_may_go_with_a_temperature_that_was_not_recorded(recorded: bool) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=3)).session
+    readings = session.readings
+    grown = 4e-6 * (1.0 - np.exp(-readings.columns["time"] / 900.0)) * readings.columns["x"] / 0.5
+    columns = {k: v for k, v in readings.columns.items() if recorded or not k.startswith("temperature")}
+    changed = replace(readings, displacement=readings.displacement + grown, columns=columns)
+    found = diagnose(session.with_readings(changed))
+    assert recorded or any(found.search.of(name).candidate.takes_time for name in found.accepted)
+    told = [str(words) for words in verdict_words(found, {}, Advice()) if "diagnosis.unrecorded" in keys(words)]
+    assert [("temperature_x" in words) for words in told] == ([] if recorded else [True])

@@ -100,7 +100,7 @@ class Effect(ABC):
                 axis = name.rpartition("_")[2].upper()
                 if axis in ("X", "Y", "Z") and axis not in observations.session.description.machine.kinematics.linear:
                     return f"the chain has no axis {axis}"
-                return f"the column {name} was not recorded"
+                return unrecorded(name)
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"
         if self.moves and stands_still(observations, self.moves.lower()):
@@ -132,6 +132,12 @@ class Effect(ABC):
     @abstractmethod
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """(k, n) change of each reading per unit of each coefficient, at given nonlinear coefficients."""
+
+
+
+def unrecorded(column: str) -> str:
+    """Why an effect that needs a column is not looked for in a session without it."""
+    return f"the column {column} was not recorded"
 
 
 class AxisEffect(Effect):

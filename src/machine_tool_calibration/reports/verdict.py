@@ -10,6 +10,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
+from machine_tool_calibration.effects.effect import unrecorded
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import fit_quality, one_direction
@@ -70,6 +71,7 @@ def verdict_words(
         for name in diagnosis.accepted:
             yield _found(diagnosis, name, changes.get(name), advice)
     yield from effect_words(diagnosis.fits[-1], diagnosis.accepted)
+    yield from _unrecorded(diagnosis)
     for name, why in diagnosis.refused.items():
         p = probability(diagnosis.search.of(name).probability)
         yield say("diagnosis.refused", effect=_title(diagnosis, name), p=p, why=why)
@@ -291,6 +293,17 @@ def _lookalike(diagnosis: Diagnosis, separation: Separation) -> Said:
     if separation.kind is None:
         return text
     return together((text, say("diagnosis.to_distinguish", measure=separation.measure)))
+
+
+def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
+    """That what goes with a temperature that was not recorded may look like what goes with the time."""
+    found = [name for name in diagnosis.accepted if diagnosis.search.of(name).candidate.takes_time]
+    excluded = [(diagnosis.excluded.get(effect.id), effect.needs) for effect in diagnosis.chosen.absent]
+    lacking = {name for why, needs in excluded for name in needs if why == unrecorded(name)}
+    lacking = {name for name in lacking if name.startswith("temperature_")}
+    if found and lacking:
+        names, columns = together(found, say("text.and")), together(sorted(lacking), ", ")
+        yield say("diagnosis.unrecorded", names=names, columns=columns, n=len(lacking))
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:

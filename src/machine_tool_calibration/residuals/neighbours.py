@@ -162,10 +162,11 @@ class Neighbours:
         """
         once = np.bincount(self.elsewhere.group)[self.elsewhere.group[which]] == 1
         values, at = (np.insert(self.run.near(which, own, 2)[1], 2, own[which], axis=1) for own in (read, way))
-        bend = np.diff(np.diff(values) / np.maximum(np.diff(at), np.finfo(float).tiny))
+        step = np.diff(at)
+        bend = np.sign(np.diff(np.diff(values) / np.where(step > 0.0, step, np.nan)))
         beside, own = bend[:, [0, 2]], bend[:, [1]]
         known = np.isfinite(beside)
-        return np.asarray(once & known.any(axis=1) & (~known | (beside * own > 0.0)).all(axis=1))
+        return np.asarray(once & known.any(axis=1) & (~known | (beside == own)).all(axis=1))
 
     def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
         """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""

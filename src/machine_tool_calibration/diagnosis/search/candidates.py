@@ -81,9 +81,14 @@ class Candidate:
         return any(shape.unit == "s" for shape in self.nonlinear)
 
     @property
+    def takes_time(self) -> bool:
+        """Whether it is an effect that changes with the time."""
+        return self.effect is not None and "time" in self.effect.needs
+
+    @property
     def drifts(self) -> bool:
         """Whether it goes on with the time, without a time constant."""
-        return self.effect is not None and "time" in self.effect.needs and not self.decays
+        return self.takes_time and not self.decays
 
     @property
     def reverses(self) -> bool:
