@@ -11,13 +11,14 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 
 
 def moved(size: float, seed: int, *effects: FlawSpec) -> Diagnosis:
-    """What is found where the centre of each run is off by so much along either axis, m."""
+    """What is found where the centre of each way round is off by so much along either axis, m."""
     plan = PRESETS["ball_bar"].model_copy(update={"repeats": 2})
     session = simulate(SimulationSpec(plan=plan, seed=seed, effects=effects)).session
     readings, centre = session.readings, np.array(session.description.setups[0].centre)  # type: ignore[union-attr]
     arm = readings.position() - centre
-    run = readings.repeat_of_setup
-    shift = size * np.random.default_rng(seed).normal(size=(run.max() + 1, 3))[run]
+    angle = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))
+    way = np.cumsum(np.r_[0, np.diff(readings.repeat) != 0] | np.r_[0, np.diff(np.sign(np.gradient(angle))) != 0])
+    shift = size * np.random.default_rng(seed).normal(size=(way.max() + 1, 3))[way]
     change = -np.sum(arm * shift, axis=1) / np.linalg.norm(arm, axis=1)
     return diagnose(session.with_readings(replace(readings, displacement=readings.displacement + change)))
 
@@ -29,7 +30,6 @@ def test_it_is_told_as_what_it_is(seed: int) -> None:
     assert (found.accepted, found.left) == ((), ())
     sizes = {size.name: size for size in found.fits[-1].marginal.sizes}
     assert sizes["centre"].probability > 0.99
-    # Of four runs in two setups each coordinate has two differences: the interval is wide.
     assert 1e-6 < sizes["centre"].size < 1e-5
 
 

@@ -16,10 +16,14 @@ from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulat
 PLACES = np.repeat(np.linspace(0.0, 0.4, 5), 6)
 
 
-@pytest.mark.parametrize("scatter", [1e-8, 1e-7, 4e-6])
+def of_x(position: np.ndarray) -> np.ndarray:
+    return commanded({"x": position})["x"]
+
+
+@pytest.mark.parametrize("scatter", [1e-8, 1e-7, 4e-6, 4e-5])
 def test_repeats_of_a_place_are_one_place(scatter: float) -> None:
     read = PLACES + scatter * np.random.default_rng(1).uniform(-1.0, 1.0, len(PLACES))
-    taken = commanded(read)
+    taken = of_x(read)
     assert len(np.unique(taken)) == 5
     assert np.abs(taken - PLACES).max() < (scatter if scatter < 1e-7 else 1e-15)
 
@@ -27,7 +31,17 @@ def test_repeats_of_a_place_are_one_place(scatter: float) -> None:
 def test_angles_are_round_in_degrees() -> None:
     angle = np.radians(np.repeat(np.arange(0.0, 360.0, 20.0), 4))
     read = angle + 2e-6 * np.random.default_rng(4).uniform(-1.0, 1.0, len(angle))
-    assert np.abs(commanded(read, np.radians(1.0)) - angle).max() < 1e-12
+    assert np.abs(commanded({"c": read})["c"] - angle).max() < 1e-12
+
+
+@pytest.mark.parametrize("scatter", [1e-8, 1e-6, 2e-5])
+def test_an_axis_that_stands_while_others_move_is_at_one_place(scatter: float) -> None:
+    still = scatter * np.random.default_rng(6).uniform(-1.0, 1.0, len(PLACES))
+    taken = commanded({"x": PLACES, "y": still, "z": 0.2 + still})
+    assert np.unique(taken["y"]).tolist() == [0.0]
+    assert not np.signbit(taken["y"]).any()
+    assert np.unique(taken["z"]) == pytest.approx([0.2], abs=scatter)
+    np.testing.assert_array_equal(taken["x"], PLACES)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +58,7 @@ def test_angles_are_round_in_degrees() -> None:
     ],
 )
 def test_other_positions_stay_as_they_are(position: np.ndarray) -> None:
-    np.testing.assert_array_equal(commanded(position), position)
+    np.testing.assert_array_equal(of_x(position), position)
 
 
 def read_off(session: Session, scatter: float) -> Session:

@@ -60,6 +60,16 @@ def _show_preview(imported: Imported, *, whole: bool) -> None:
         show(shared.console(), parts)
     for text in imported.notes:
         shared.note(text)
+    if whole:
+        _note_read_off(session)
+
+
+def _note_read_off(session: Session) -> None:
+    """That positions are others than those that were read, which nothing says once they are written."""
+    from machine_tool_calibration.session.checks.suspicion import read_off
+
+    for words in read_off(session):
+        shared.note(words)
 
 
 def _shown(value: Any) -> str:
@@ -347,6 +357,7 @@ def _written(session: Session, target: Path, form: str, start: int = 0, namespac
     from machine_tool_calibration.recording.tables import save_table
     from machine_tool_calibration.session.folder import readings_frame, write_session
 
+    _note_read_off(session)
     if form == "bag":
         session_to_bag(session, target, start=start, namespace=namespace)
     elif form == "session":

@@ -36,6 +36,8 @@ _ENOUGH = 20_000
 _ROUNDING = 1e-9
 # Groups of a family, and functions of them all, at most: the fit's time goes with the third power of these.
 _MOST_GROUPS, _MOST_FUNCTIONS = 200, 300
+# Sine of an angle, below which a circle has not gone on.
+_TURNS = 1e-6
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
 
@@ -232,10 +234,11 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     if len(moved) >= 2:
         if _tell(observations.place, run):
             yield _family(observations, "run", run)
-            if spec_of(observations.session).centred:
-                shifts = observations.direction[:, moved].T.copy()
-                yield Family("centre", in_order_of_appearance(run), shifts, offset=False)
-                return
+        if spec_of(observations.session).centred:
+            way = _ways_round(observations.direction, run)
+            if _tell(observations.readings.alike(approach=False), way):
+                yield Family("centre", way, observations.direction[:, moved].T.copy(), offset=False)
+            return
         yield from _rows(observations, moved)
         return
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
@@ -270,6 +273,16 @@ def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
         count = np.bincount(row)
         if priors.SEVERAL_RUNS <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
             yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy(), offset=False)
+
+
+def _ways_round(direction: Array, run: IntArray) -> IntArray:
+    """(n,) which way round a circle a reading belongs to, from its direction (n, 3) to the centre, run by run."""
+    turn = np.cross(direction[:-1], direction[1:])
+    turn[np.diff(run) != 0] = 0.0
+    moving = np.flatnonzero(np.linalg.norm(turn, axis=1) > _TURNS)
+    begins = np.diff(run, prepend=run[:1]) != 0
+    begins[moving[1:][np.sum(turn[moving[1:]] * turn[moving[:-1]], axis=1) < 0.0]] = True
+    return np.asarray(np.cumsum(begins))
 
 
 def _passes(observations: Observations, axis: int) -> IntArray:

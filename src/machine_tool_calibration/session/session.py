@@ -252,7 +252,7 @@ def assemble(
     if _SINCE_AN_EPOCH < first < _NO_TIME:  # beside it what changes within a session would be lost in rounding
         columns["time"] = time - first
     read_off = {axis: columns[axis] for axis in "xyzabc" if axis in columns}
-    columns |= {axis: commanded(at, np.radians(1.0) if axis in "abc" else 1.0) for axis, at in read_off.items()}
+    columns |= commanded(read_off)
     off = {axis: float(np.abs(position - columns[axis]).max(initial=0.0)) for axis, position in read_off.items()}
     return Readings(
         setup=setup,

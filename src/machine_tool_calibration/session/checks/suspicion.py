@@ -31,7 +31,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _copied, _read_off, _beside, _recorded_before, _repeated, _approached)
+    checks = (_still, _rounded, _copied, read_off, _beside, _recorded_before, _repeated, _approached)
     return [
         together((name, words), "")
         for name, session in pairs
@@ -73,7 +73,7 @@ def _copied(session: Session) -> Iterator[str]:
         yield say("suspicion.copied", n=int(equal.sum()), row=int(readings.row[equal][0]))
 
 
-def _read_off(session: Session) -> Iterator[str]:
+def read_off(session: Session) -> Iterator[str]:
     """Positions that scatter about places: read off an encoder."""
     for axis, most in session.readings.off_place.items():
         if most < _WRITTEN:
