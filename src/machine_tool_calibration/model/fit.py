@@ -203,7 +203,7 @@ def fit_models(
         unknowns = n - solution.degrees_of_freedom
         sources = " + ".join(model.observations.session.source for model in models)
         raise ModelError(
-            f"{sources}: too few readings: {n} for {unknowns} unknowns; more targets, stations or repeats are needed"
+            f"{sources}: too few readings: {n} for {unknowns} unknowns; more are needed, of further places or stations"
         )
     if random is None and len(models) == 1:
         random = models[0].random

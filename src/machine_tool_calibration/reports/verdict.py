@@ -186,7 +186,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         if mine is not None and _as_good(diagnosis, mine):
             measure = mine.measure if mine.kind is not None else say("next.no_measure")
             others = together(mine.effects[1:], say("diagnosis.or"))
-            return together((text, say("next.from_rivals", names=others, measure=measure)))
+            return together((text, say("next.from_rivals", name=mine.effects[0], names=others, measure=measure)))
         return text
     if told is not None:
         return say("next.between", names=together(told.effects, say("text.and")), measure=told.measure)
