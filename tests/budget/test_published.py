@@ -184,6 +184,7 @@ def test_u_falls_from_setup_to_setup_to_that_of_the_whole(session: Session) -> N
     assert [one.enough for one in after_each_setup(chosen, Until(u=1.01 * u[-1]))] == [False] * (len(u) - 1) + [True]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0.0, 4e-6])
 def test_an_effect_is_told_whether_it_is_there_or_not(size: float) -> None:
     hidden = (FlawSpec(id="backlash_x", size=size),) if size else ()

@@ -52,6 +52,7 @@ def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, ver
     assert len(open_measurement(cube).readings) == 288
 
 
+@pytest.mark.long
 def test_one_document(cube: Path, tmp_path: Path, verb: Verb) -> None:
     document = verb("improve", cube, "--json", "--no-history", "-o", tmp_path / "here").document
     assert document["format"] == "mtcal-improvement/1"

@@ -55,6 +55,7 @@ def test_a_size_that_others_hide_is_judged_beside_them(
     assert added.refused == ({} if "a" in accepted else {"a": "no size"})
 
 
+@pytest.mark.long
 def test_a_look_alike_is_told_in_the_place_of_what_was_added() -> None:
     """A servo lag of Y is minus one of X; by itself, without both backlashes, neither has the size that it has."""
     hidden = {"backlash_x": 3e-6, "backlash_y": -2e-6, "servo_mismatch_y": 2e-4}

@@ -434,6 +434,7 @@ def test_a_drift_without_times_is_no_reversal(cycles: int) -> None:
     assert found.accepted == ("backlash_x",)
 
 
+@pytest.mark.long
 def test_there_and_back_once_without_times_a_drift_would_look_like_a_reversal() -> None:
     for cycles, told in ((1, True), (2, False)):
         found = diagnose(axis_both_ways(cycles, 2, half_width=2e-6))

@@ -154,6 +154,7 @@ def fitted_line(start: float) -> FittedSessions:
     return fitted_sessions(identify(line(1, start)))
 
 
+@pytest.mark.long
 def test_a_shift_of_deviations_that_are_absolute_is_a_difference() -> None:
     def fitted(shift: float, datum: str) -> FittedSessions:
         x, rng = np.tile(np.linspace(0.0, 0.5, 6), 5), np.random.default_rng(round(1e9 * shift))

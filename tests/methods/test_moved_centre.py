@@ -33,11 +33,13 @@ def test_it_is_told_as_what_it_is(seed: int) -> None:
     assert 1e-6 < sizes["centre"].size < 1e-5
 
 
+@pytest.mark.long
 def test_an_effect_is_found_beside_it() -> None:
     found = moved(3e-6, 4, FlawSpec(id="backlash_y", size=4e-6))
     assert found.accepted == ("backlash_y",)
 
 
+@pytest.mark.long
 def test_where_it_stays_nothing_is_told_of_it() -> None:
     found = moved(0.0, 5)
     assert all(size.probability < 0.9 for size in found.fits[-1].marginal.sizes)

@@ -96,6 +96,7 @@ def test_what_varied_with_wrong_readings_only_is_drawn_before_them_alone() -> No
     assert not np.isfinite(after.lines[0].get_xdata()).any()
 
 
+@pytest.mark.long
 def test_without_a_candidate_that_was_added_the_picture_says_less() -> None:
     found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     figure = draw_diagnosis(found, {})

@@ -236,6 +236,7 @@ def test_an_error_motion_is_drawn_once():
     assert [picture.name for picture in drawn] == ["motion_EXX"]
 
 
+@pytest.mark.long
 def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     tables = {table.title: table for table in blocks("tracking_2d", TextTable)}
     assert tables["Effects looked for, the most probable first"].rows[0][0] == "✓ backlash of Y"

@@ -141,6 +141,7 @@ def test_in_several_sessions_each_reading_counts_by_its_own_noise() -> None:
     assert 0.7 < rms((np.array(off) / np.array(sure)).ravel()) < 1.3
 
 
+@pytest.mark.long
 def test_an_effect_in_one_direction_is_none_of_its_noise() -> None:
     """A backlash of X that every run repeats is found beside a noisy Y, and X keeps its own noise."""
     for seed in range(3):

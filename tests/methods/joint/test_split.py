@@ -61,6 +61,7 @@ def apart(one: Result, several: JointResult) -> np.ndarray:
     return values
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("dimension", "effects", "travel"),
     [
