@@ -266,14 +266,19 @@ def uv_options(python: str) -> list[str] | None:
     return options
 
 
+# Libraries that are large and of which hardly anything is imported here, or that come compiled to machine code.
+SELDOM = ("mypy", "mypyc", "pip", "plotly", "pygments/lexers", "setuptools")
+
+
 def compile_all(python: str, folder: str) -> None:
     """Compile what is installed, on all processors; pip would on one, and the libraries' own tests as well.
 
     What cannot be compiled is none of ours: Python tries again where it is imported.
     """
     what = (
-        "import compileall, re, sys; folder = sys.argv[1]; "
-        "compileall.compile_dir(folder, quiet=2, workers=0, rx=re.compile(re.escape(folder) + r'/.*/tests?/'))"
+        "import compileall, re, sys; folder = sys.argv[1]; rest = re.compile("
+        f"re.escape(folder) + r'/(?:.*/tests?|{'|'.join(SELDOM)})/'); "
+        "compileall.compile_dir(folder, quiet=2, workers=0, rx=rest)"
     )
     subprocess.call([python, "-c", what, folder], env=undisturbed_environment(), stderr=subprocess.DEVNULL)
 

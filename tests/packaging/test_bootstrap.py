@@ -134,10 +134,11 @@ def test_builds_leave_no_trace_in_the_fingerprint(
     assert bootstrap.digest() != before
 
 
-def test_what_is_installed_is_compiled_but_for_the_tests_in_it(bootstrap: ModuleType, tmp_path: Path) -> None:
+def test_what_is_installed_is_compiled_but_for_its_tests_and_what_is_hardly_imported(bootstrap: ModuleType, tmp_path: Path) -> None:
     """Also where the checkout itself lies among tests, and where a library has a file that no Python reads."""
     folder = tmp_path / "tests" / "site-packages"
-    for name, text in (("lib/used.py", "x = 1"), ("lib/tests/test_used.py", "x = 1"), ("lib/broken.py", "x = =")):
+    texts = {"lib/used.py": "x = 1", "lib/tests/test_used.py": "x = 1", "lib/broken.py": "x = =", "pip/run.py": "x = 1"}
+    for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
     bootstrap.compile_all(sys.executable, str(folder))
