@@ -68,3 +68,11 @@ def test_readings_of_nearly_one_moment_are_of_one(apart: float) -> None:
     read = np.interp(twice, time, course) + 0.03 * rng.normal(size=len(twice))
     found = without_noise(twice, read)
     assert np.std(found - np.interp(twice, time, course)) < 0.4 * 0.03
+
+
+def test_steps_in_time_however_unlike() -> None:
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        time = np.cumsum(10.0 ** rng.uniform(-9.0, 2.0, int(rng.integers(12, 400))))
+        read = 20.0 + 0.01 * np.cumsum(rng.normal(size=len(time))) + 0.03 * rng.normal(size=len(time))
+        assert np.abs(without_noise(time, read) - read).max() < 1.0

@@ -23,6 +23,7 @@ def rows(message):
     return np.asarray(message.data).reshape(samples, columns)
 
 
+@pytest.mark.long
 def test_ten_kilohertz_stream_is_recorded_without_loss(bench):
     from rosbags.highlevel import AnyReader
 
@@ -62,6 +63,7 @@ def test_ten_kilohertz_stream_is_recorded_without_loss(bench):
     assert 1e-8 < table[:, 1].std() < 1e-6
 
 
+@pytest.mark.long
 def test_datum_capture_and_environment_in_real_time(bench):
     names = ("axis_simulator", "rotary_pointer", "instrument")
     graph = bench.graph(names, simulated_time=False, more={"instrument": {"averaging": 0.2}})

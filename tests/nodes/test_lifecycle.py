@@ -85,6 +85,7 @@ def test_a_node_is_set_by_hand(bench: Bench) -> None:
     assert graph.ended()["estimator"].startswith("estimator ended with status 0")
 
 
+@pytest.mark.long
 def test_a_recorder_that_is_taken_down_and_up_begins_another_bag_and_says_why_it_cannot(bench: Bench) -> None:
     bench.graph(("recorder",), simulated_time=False)
     operator = bench.operator()

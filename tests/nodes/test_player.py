@@ -131,6 +131,7 @@ def test_paused_until_it_goes_on(tmp_path: Path, play) -> None:
     assert heard.clock == sorted(heard.clock)
 
 
+@pytest.mark.long
 def test_nothing_is_sent_before_the_delay_is_over(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag"), rate=0.0, delay=10 * PATIENCE)
     heard = Heard(operator)

@@ -255,6 +255,7 @@ def test_a_command_that_the_axes_did_not_hear_is_sent_again(bench):
     assert from_message(first.header.stamp) % 2 == 1  # no command of a procedure has it
 
 
+@pytest.mark.long
 def test_axes_that_were_started_anew_end_the_touch(bench):
     operator, axes, asked = played(bench)
     assert not asked.done()

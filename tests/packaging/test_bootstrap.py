@@ -134,7 +134,7 @@ def test_builds_leave_no_trace_in_the_fingerprint(
     assert bootstrap.digest() != before
 
 
-def test_what_is_installed_is_compiled_but_for_its_tests_and_what_is_hardly_imported(bootstrap: ModuleType, tmp_path: Path) -> None:
+def test_what_is_hardly_imported_is_not_compiled(bootstrap: ModuleType, tmp_path: Path) -> None:
     """Also where the checkout itself lies among tests, and where a library has a file that no Python reads."""
     folder = tmp_path / "tests" / "site-packages"
     texts = {"lib/used.py": "x = 1", "lib/tests/test_used.py": "x = 1", "lib/broken.py": "x = =", "pip/run.py": "x = 1"}

@@ -134,7 +134,6 @@ class Effect(ABC):
         """(k, n) change of each reading per unit of each coefficient, at given nonlinear coefficients."""
 
 
-
 def unrecorded(column: str) -> str:
     """Why an effect that needs a column is not looked for in a session without it."""
     return f"the column {column} was not recorded"

@@ -55,9 +55,8 @@ def without_noise(time: Array, value: Array) -> Array:
             error = off([_course(given[a], strength * own) for (a, _), own in zip(halves, penalties, strict=True)])
             if error < least:
                 least, best = error, (order, strength)
-    if best is None:
-        return value
-    return np.asarray(_course(given, best[1] * _penalty(moments, best[0]))[place])
+    course = given if best is None else _course(given, best[1] * _penalty(moments, best[0]))
+    return value if best is None or np.isnan(course).any() else np.asarray(course[place])
 
 
 def _penalty(time: Array, order: int) -> Array:
@@ -76,9 +75,12 @@ def _penalty(time: Array, order: int) -> Array:
 
 
 def _course(value: Array, penalty: Array) -> Array:
-    """(n,) the solution of the problem, with lambda in the penalty."""
+    """(n,) the solution of the problem, with lambda in the penalty; NaN where steps in time are too unlike for it."""
     from scipy.linalg import solveh_banded  # slow to load
 
     banded, middle = penalty.copy(), value.mean()
     banded[-1] += 1.0
-    return np.asarray(middle + solveh_banded(banded, value - middle))
+    try:
+        return np.asarray(middle + solveh_banded(banded, value - middle))
+    except np.linalg.LinAlgError:
+        return np.full(len(value), np.nan)

@@ -154,7 +154,7 @@ def _enough_targets(session: Session, dimension: int, measured: BoolArray, place
     at_axes = sum(len(distinct_places(points[:, j : j + 1])[0]) for j in range(dimension))
     rigid = (dimension + 1) * count + (3 if dimension == 2 else 6) * at_axes
     if redundant < unknown and len(pairs) < rigid:
-        # Three readings of a target are three unknowns, however many targets there are.
+        # A target that is read as often as it has coordinates is no condition, however many there are.
         lack = "more targets from all stations" if seen_by.max() > dimension else f"from {dimension + 1} stations"
         raise SessionError(
             f"{place.readings}: too few readings: {len(points)} targets and {count} stations leave {redundant} "
