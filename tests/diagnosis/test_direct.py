@@ -523,6 +523,18 @@ def test_of_several_sessions_it_is_told_how_far_each_scatters() -> None:
     assert float(each["other"]) == pytest.approx(3.0, abs=0.7)
 
 
+def test_of_a_session_that_the_model_leaves_no_reading_no_scatter_is_told() -> None:
+    at, zero = np.tile(np.linspace(0.0, 0.4, 9), 6), np.zeros(54)
+    read = 5e-6 * np.random.default_rng(3).normal(size=54)
+    columns = {"x": at, "gx": 1 + zero, "gy": zero, "gz": zero, "displacement": read}
+    one = plates.session(columns, 1e-6, "none", ("EXX",), np.repeat(np.arange(6), 9))
+    single = {name: values[:1] for name, values in columns.items()}
+    alone = plates.session({**single, "x": np.array([9.0])}, 1e-6, "offset", ("EXX",))
+    found = diagnose(FitRequest((one, alone), labels=("one", "other")))
+    (told,) = [str(words) for words in verdict_words(found, {}, Advice()) if "diagnosis.scatter_of_each" in keys(words)]
+    assert "other – times" in told
+
+
 @pytest.mark.parametrize("recorded", [False, True])
 def test_what_goes_with_the_time_may_go_with_a_temperature_that_was_not_recorded(recorded: bool) -> None:
     session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=3)).session

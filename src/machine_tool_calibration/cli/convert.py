@@ -58,10 +58,9 @@ def _show_preview(imported: Imported, *, whole: bool) -> None:
             f"session.yaml:\n{description_yaml(session.description).rstrip()}",
         ]
         show(shared.console(), parts)
+        _note_read_off(session)
     for text in imported.notes:
         shared.note(text)
-    if whole:
-        _note_read_off(session)
 
 
 def _note_read_off(session: Session) -> None:

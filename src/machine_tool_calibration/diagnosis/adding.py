@@ -12,6 +12,7 @@ from scipy import special
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch
+from machine_tool_calibration.diagnosis.search.findings import occurs
 from machine_tool_calibration.diagnosis.search.prediction import Prediction
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
@@ -179,8 +180,8 @@ def _occurs(fit: JointFit, name: str) -> bool:
     for k, own in enumerate(fit.assembly.parameters):
         if own.kind is Kind.EFFECT and own.owner == name and published.determined[k] and own.low is not None:
             most = max(abs(own.low), abs(own.high or 0.0))
-            margin = min(priors.SIZE_MARGIN * float(published.covariance[k, k]) ** 0.5, most)
-            if abs(own.reference + published.theta[k]) > priors.BEYOND * most + margin:
+            value, u = own.reference + float(published.theta[k]), float(published.covariance[k, k]) ** 0.5
+            if not occurs(value, u, -most, most):
                 return False
     return True
 

@@ -27,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.residuals.noise import squares_of_its_own
+from machine_tool_calibration.residuals.noise import scatter_over_declared
 from machine_tool_calibration.residuals.places import alike_beside_p, differ_by_setup
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -298,9 +298,8 @@ def _lookalike(diagnosis: Diagnosis, separation: Separation) -> Said:
 def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
     """That what goes with a temperature that was not recorded may look like what goes with the time."""
     found = [name for name in diagnosis.accepted if diagnosis.search.of(name).candidate.takes_time]
-    excluded = [(diagnosis.excluded.get(effect.id), effect.needs) for effect in diagnosis.chosen.absent]
-    lacking = {name for why, needs in excluded for name in needs if why == unrecorded(name)}
-    lacking = {name for name in lacking if name.startswith("temperature_")}
+    needs = [(diagnosis.excluded.get(effect.id), name) for effect in diagnosis.chosen.absent for name in effect.needs]
+    lacking = {name for why, name in needs if why == unrecorded(name) and name.startswith("temperature_")}
     if found and lacking:
         names, columns = together(found, say("text.and")), together(sorted(lacking), ", ")
         yield say("diagnosis.unrecorded", names=names, columns=columns, n=len(lacking))
@@ -383,9 +382,8 @@ def _scatter_of_each(fit: JointFit) -> Iterator[Said]:
     """How far the readings of every session scatter; of a single one where it is not what runs differ by."""
     ratio = rounded(np.sqrt(fit.reduced_chi_square))
     if fit.assembly.labels is not None:
-        squares = map(squares_of_its_own, fit.fits)
-        own = zip(fit.assembly.labels, (rounded(np.sqrt(whole / left)) for whole, left in squares), strict=True)
-        each = [say("diagnosis.times", name=name, ratio=times) for name, times in own]
+        own = zip(fit.assembly.labels, map(scatter_over_declared, fit.fits), strict=True)
+        each = [say("diagnosis.times", name=name, ratio=rounded(times)) for name, times in own]
         yield say("diagnosis.scatter_of_each", ratio=ratio, each=together(each, ", "))
     elif not any(reproducibility_words([size.document() for size in fit.marginal.sizes])):
         yield say("diagnosis.no_noise", ratio=ratio)

@@ -64,7 +64,7 @@ def noise_of(fit: Fit) -> Noise:
     free = int((count - 1).sum())
     declared = rms(fit.model.declared_sigma)
     counted = rms(fit.model.sigma)
-    squares, left = squares_of_its_own(fit)
+    squares, left = _of_its_own(fit)
     p_value = float(special.chdtrc(left, squares)) if left > _LEAST_LEFT else 1.0
     if free < priors.ENOUGH_REPEATS or len(count) > _MOST_PLACES:
         return Noise(declared, counted, None, free, p_value, None)
@@ -111,7 +111,13 @@ def pooled(every: Sequence[Noise], p_value: float) -> Noise:
     return Noise(declared, counted, together("from_repeats"), repeats, p_value, None, together("as_read"))
 
 
-def squares_of_its_own(fit: Fit) -> tuple[float, float]:
+def scatter_over_declared(fit: Fit) -> float | None:
+    """How many times as much as declared a session's readings scatter; None where the model leaves none of them."""
+    squares, left = _of_its_own(fit)
+    return float(np.sqrt(squares / left)) if left > _LEAST_LEFT else None
+
+
+def _of_its_own(fit: Fit) -> tuple[float, float]:
     """Sum of squares, over those declared, that the model leaves of a session, and how many readings it leaves."""
     if len(fit.joint.assembly.models) == 1:
         dof = fit.solution.degrees_of_freedom

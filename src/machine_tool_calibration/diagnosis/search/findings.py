@@ -21,6 +21,12 @@ from machine_tool_calibration.residuals.pool import Pool
 _LEAST_OWN_SHARE = 1e-6
 
 
+def occurs(value: float, u: float, least: float, largest: float) -> bool:
+    """Whether a size is between those that occur, given its uncertainty, of which no more counts than such sizes."""
+    margin = min(priors.SIZE_MARGIN * u, max(abs(least), abs(largest)))
+    return priors.BEYOND * least - margin <= value <= priors.BEYOND * largest + margin
+
+
 @dataclass(frozen=True)
 class Size:
     """Predicted coefficient of a candidate."""
@@ -32,9 +38,7 @@ class Size:
     @property
     def plausible(self) -> bool:
         """Whether it is of a size that occurs, given its uncertainty, of which no more counts than such sizes."""
-        least, largest = self.coefficient.least, self.coefficient.high
-        margin = min(priors.SIZE_MARGIN * self.standard_uncertainty, max(abs(least), abs(largest)))
-        return priors.BEYOND * least - margin <= self.value <= priors.BEYOND * largest + margin
+        return occurs(self.value, self.standard_uncertainty, self.coefficient.least, self.coefficient.high)
 
 
 @dataclass(frozen=True)
