@@ -10,7 +10,7 @@ from scipy.stats import norm
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.model.effect_sizes import effect_sizes, smallest_signal, with_sizes
+from machine_tool_calibration.model.effect_sizes import _scales, effect_sizes, smallest_signal, with_sizes
 from machine_tool_calibration.model.imperfection import imperfection, scaled_values
 from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.observations import Observations
@@ -97,6 +97,17 @@ def test_nothing_is_known_of_an_unknown_without_limits(parameter: Parameter) -> 
 
 def test_what_is_not_determined_stays_so() -> None:
     assert effect_sizes([GROWTH], np.array([False])) == []
+
+
+def test_the_smallest_signal_is_found_beside_directions_that_tell_far_more() -> None:
+    """By drawing what is read along the last of 22 directions, each of the others told 300 times as well."""
+    values = np.append(np.full(21, 1e5), 1.0)
+    signal = smallest_signal(values, 1.0, 3.0, power=0.7)
+    squares = (signal + np.random.default_rng(2).normal(size=20000)) ** 2
+    sizes = _scales(float(np.sqrt(1e5)), 22) ** 2
+    cost = 0.5 * np.log1p(np.outer(sizes, values)).sum(axis=1)
+    evidence = np.mean(np.exp(0.5 * squares[:, None] * sizes / (1.0 + sizes) - cost), axis=1)
+    assert np.mean(np.log(evidence) > 3.0) == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / 20000))
 
 
 @pytest.mark.parametrize("largest", [1.5, 30.0, 4000.0])

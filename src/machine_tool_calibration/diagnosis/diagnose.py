@@ -402,14 +402,17 @@ def _left(found: Diagnosis) -> tuple[Structure, ...]:
 
 @single_blas()
 def _good_enough(found: Diagnosis) -> bool:
-    """Whether what is left beside the accepted effects is small: beside the noise, or in what it does to the map."""
+    """Whether what is left beside the accepted effects is small: beside the noise, or in what it does to the map.
+
+    Of a machine that is read itself it is what the map lacks.
+    """
     joint, fitted = found.fits[-1], found.fitted[-1]
     pool = Pool(joint)
     left = np.zeros(len(pool))
     for name, signal in found.search.signals.items():
         left -= signal if name not in found.accepted else 0.0
     size = rms(left / pool.sigma)
-    if not priors.SMALL < size <= 1.0:
+    if not priors.SMALL < size <= 1.0 or _side_by_side(found.searched):
         return size <= priors.SMALL
     without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
     moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)

@@ -7,6 +7,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups, peaks
 from machine_tool_calibration.effects.effect import ONE_SIDED, AxisEffect, Coefficient, Shape, axis_unit, is_one_sided
+from machine_tool_calibration.machine.error_motions import interpolation
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
@@ -21,9 +22,12 @@ _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
 # Of the fewest waves of an axis that is read itself, over a network of places: there one may be looked for.
 _OVER_PLACES = 2.0 / 3.0
 # Step from wave to wave over one in the range; of others (racks, inches, motor steps) those that the readings show
-# most, found by a spectrum so much finer, of places so many of which are a shortest wave, without such a polynomial.
-_STEP, _FINER, _PLACES, _DEGREE = 0.4, 4, 16, 5
+# most, found by a spectrum so much finer, of places so many of which are a shortest wave, without what a table of so
+# many nodes takes, and what is left clipped at so many median absolute deviations.
+_STEP, _FINER, _PLACES, _NODES, _CLIPPED = 0.4, 4, 16, 6, 4.5
 _PEAKS = 3
+# Leads that are resolved, of which more than these tell a wave from one that is half a step beside it.
+_MANY_LEADS = 20
 # Share of a step by which positions may be off a grid, on which a wave of a shorter lead looks like one of a longer.
 _ON_GRID = 0.05
 
@@ -56,16 +60,18 @@ class PitchPeriodic(AxisEffect):
         On evenly spaced positions every lead shorter than two steps looks like a longer one: only those are searched.
         """
         every, usual = self._frequencies(observations)
-        if len(usual) < len(every) and spec_of(observations.session).reads_machine:
+        if len(every) > _MANY_LEADS and spec_of(observations.session).reads_machine:
             usual = np.union1d(usual, self._strongest(observations, every, usual))
         return [(float(1.0 / f),) for f in usual]
 
     def equally(self, observations: Observations, shape: tuple[float, ...]) -> int:
-        """Half the probability is that of the usual leads, the other half that of all."""
+        """Half the probability is that of the usual leads, the other half that of all, more of them between."""
         every, usual = self._frequencies(observations)
+        off = float(np.abs(usual - 1.0 / shape[0]).min()) / (every[1] - every[0])
+        finer = 1 if off < _ON_GRID else _FINER
         if len(usual) == len(every):
-            return 0
-        return 2 * len(usual if _near(1.0 / shape[0], usual, every) else every)
+            return finer * len(every) if finer > 1 else 0
+        return 2 * (finer * len(usual) if off < 0.5 else len(every))
 
     def _frequencies(self, observations: Observations) -> tuple[Array, Array]:
         """See `_resolved`."""
@@ -74,8 +80,9 @@ class PitchPeriodic(AxisEffect):
         return _resolved(observations.readings.column(self.axis).tobytes(), fewest, direct)
 
     def _strongest(self, observations: Observations, every: Array, usual: Array) -> Array:
-        """Those of which direct readings show most, all approaches in step, and what lies beside each: none near a
-        usual one.
+        """Those of which direct readings show most, all approaches in step, and what lies beside each.
+
+        Half a step beside a usual one: that explains a tenth less, and in time waves are tried more finely.
         """
         readings, along = observations.readings, self.along(observations)
         x, seen = readings.column(self.axis), readings.displacement * along * self.sign(observations)
@@ -84,8 +91,11 @@ class PitchPeriodic(AxisEffect):
         group = groups(observations.run, sense, np.round(along))
         for mine in (group == g for g in range(int(group.max()) + 1)):
             places = len(np.unique(np.round(x[mine], 6)))
-            slow = np.polynomial.Polynomial.fit(x[mine], seen[mine], min(_DEGREE, places // 4))
-            seen[mine] -= slow(x[mine])
+            nodes = np.linspace(x.min(), x.max(), max(min(_NODES, places // 4), 2))
+            table = interpolation(nodes, x[mine]).T
+            seen[mine] -= table @ np.linalg.lstsq(table, seen[mine], rcond=1e-9)[0]
+        most = _CLIPPED * float(np.median(np.abs(seen)))
+        seen = seen.clip(-most, most)
         width = 1.0 / (_PLACES * every[-1])
         summed = np.bincount(np.round((x - x.min()) / width).astype(np.int64), seen)
         step = (every[1] - every[0]) / _FINER
@@ -93,7 +103,7 @@ class PitchPeriodic(AxisEffect):
         frequency = np.fft.rfftfreq(count, width)
         power = np.abs(np.fft.rfft(summed, n=count)) ** 2 * ((frequency >= every[0]) & (frequency <= every[-1]))
         strongest = frequency[peaks(power)[: len(usual) + _PEAKS]]
-        best = np.array([f for f in strongest if not _near(f, usual, every)][:_PEAKS])
+        best = np.array([f for f in strongest if np.abs(usual - f).min() > 0.5 * step][:_PEAKS])
         return np.asarray((best[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -177,11 +187,6 @@ def _resolved(read_at: bytes, fewest: float, direct: bool) -> tuple[Array, Array
     known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
     long = every[: _MOST_LEADS - len(known)]
     return every, np.concatenate([long, known[(known > long[-1] + 0.2 / span) & (known <= 1.0 / shortest)]])
-
-
-def _near(frequency: float, usual: Array, every: Array) -> bool:
-    """Whether a frequency is one of the usual ones within half a step."""
-    return bool(np.abs(usual - frequency).min() < 0.5 * (every[1] - every[0]))
 
 
 def _places(position: Array) -> Array:

@@ -128,12 +128,13 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = p
     if float(np.logaddexp.reduce(-cost)) >= needed:
         return 0.0
     limit = max(4.0 * (needed + float(cost.min()) + 10.0) / max(float(share.max()), 1e-3), 1.0)
-    # The logarithm is convex in the statistic and grows: Newton's steps come down to where it is reached.
+    # The logarithm is convex in the statistic and grows: Newton's steps come down to where it is reached, from below
+    # after one beyond it.
     for _ in range(_STEPS):
         terms = 0.5 * limit * share - cost
         reached = float(np.logaddexp.reduce(terms))
         step = (reached - needed) / (0.5 * float(share @ np.exp(terms - reached)))
-        if step <= 1e-9 * limit:
+        if abs(step) <= 1e-9 * limit:
             break
         limit -= step
     # The square of a normal value around the signal exceeds it with this power.

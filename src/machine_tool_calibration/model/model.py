@@ -231,11 +231,7 @@ class MethodModel(ABC):
     @property
     def declared_sigma(self) -> Array:
         """(n,) declared standard uncertainty of each reading, m."""
-        session, readings = self.observations.session, self.observations.readings
-        declared = session.description.standard_uncertainty
-        own = [declared.setups.get(name, declared) for name in session.setup_ids]
-        constant, slope = np.array([u.displacement for u in own]), np.array([u.per_length for u in own])
-        return np.asarray(constant[readings.setup] + slope[readings.setup] * np.abs(self.observations.path))
+        return self.observations.declared_sigma
 
     @property
     def declared(self) -> frozenset[str]:

@@ -46,6 +46,15 @@ class Observations:
     def __len__(self) -> int:
         return len(self.readings)
 
+    @cached_property
+    def declared_sigma(self) -> Array:
+        """(n,) declared standard uncertainty of each reading, m."""
+        session, readings = self.session, self.readings
+        declared = session.description.standard_uncertainty
+        own = [declared.setups.get(name, declared) for name in session.setup_ids]
+        constant, slope = np.array([u.displacement for u in own]), np.array([u.per_length for u in own])
+        return np.asarray(constant[readings.setup] + slope[readings.setup] * np.abs(self.path))
+
     @property
     def timed(self) -> bool:
         """Whether the readings' times were recorded."""

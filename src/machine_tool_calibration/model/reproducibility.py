@@ -243,7 +243,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
         return
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
     run = in_order_of_appearance(run if moved else observations.run)
-    ways = in_order_of_appearance(_passes(observations, moved[0])) if moved else run
+    ways = in_order_of_appearance(passes_over(observations, moved[0])) if moved else run
     for name, group in (("run", run), ("pass", ways)):
         if group.max(initial=0) > 1 and _tell(observations.place, group) and (name == "run" or (group != run).any()):
             yield _family(observations, name, group)
@@ -285,7 +285,7 @@ def _ways_round(direction: Array, run: IntArray) -> IntArray:
     return np.asarray(np.cumsum(begins))
 
 
-def _passes(observations: Observations, axis: int) -> IntArray:
+def passes_over(observations: Observations, axis: int) -> IntArray:
     """(n,) which pass over the axis a reading belongs to: a pass ends where the axis turns, or a run ends."""
     position, readings = observations.position[:, axis], observations.readings
     step = np.diff(position)

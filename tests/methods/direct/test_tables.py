@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError, SessionError
-from machine_tool_calibration.methods.direct.model import nodes_from
+from machine_tool_calibration.methods.direct.nodes import nodes_from
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.session import Session
 

@@ -68,6 +68,11 @@ class SetupDatum:
     curvature: Array  # (n,) what a finite turn adds to the linear one, m
     words: str  # the datum in words
 
+    def of_each(self, observed: Observations) -> Array:
+        """(setups times p, n) the columns of every setup's unknowns."""
+        of_setup = np.equal.outer(np.arange(len(observed.session.setup_ids)), observed.readings.setup)
+        return np.asarray((of_setup[:, None] * self.columns).reshape(-1, len(observed)))
+
 
 def setup_datum(kind: str, observed: Observations) -> SetupDatum:
     """Unknowns of the setups: none, an offset, or shift and turn about the middle of the setup's points."""

@@ -23,10 +23,11 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
+from machine_tool_calibration.methods.direct.nodes import asked_tables, bending_tables
+from machine_tool_calibration.methods.direct.off_the_map import off_the_map
 from machine_tool_calibration.methods.direct.own_noise import OwnNoise, own_noise
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
@@ -45,13 +46,11 @@ from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
     MachineTable,
     determined_part,
-    distinct_nodes,
     map_field,
     position_errors,
     read_nodes,
     table_datum,
     tables_content,
-    thinned,
 )
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
@@ -114,52 +113,6 @@ def point_datum(points: tuple[PointErrors, ...], observed: Observations) -> Iter
             }
             if found:
                 yield Constraint(found)
-
-
-# Nodes of a table where the axis was read at more positions than it has readings to fill.
-_NODES_OF_MANY, _NODES_OF_FEW = 21, 5
-_MOST_NODES = 101
-# Share of readings that nodes may take, so that the others check them.
-_CHECKED = 2 / 3
-
-
-def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Array:
-    """Nodes of a table from the positions (n,) at which an axis was read, m.
-
-    The positions themselves where there are few, or at least twice as many readings of each table (`count`); otherwise
-    as many of them as `many`, spread evenly, so that every node is at a reading.
-    """
-    nodes = distinct_nodes(positions)
-    most = _MOST_NODES if count >= 2 * len(nodes) else many
-    return nodes if len(nodes) <= most else thinned(nodes, many)
-
-
-def asked_tables(
-    chain: Chain, terms: Sequence[str], position: Array, count: int | None = None
-) -> tuple[MachineTable, ...]:
-    """Tables of the motions (EXX, C0Y) that a session names.
-
-    Args:
-        chain: the machine's axes.
-        terms: the names.
-        position: (n, 3) where readings were taken, m.
-        count: readings by which nodes are spread; n if None. With those that were set aside, so that these make no
-            table coarser.
-    """
-    axes = [parse_motion(name).axis for name in terms if name not in SQUARENESS]
-    many, count = _NODES_OF_MANY, count or len(position)
-    along = {axis: position[:, "XYZ".index(axis)] for axis in axes}
-    # too many for places that were read once, of which each would be its own node: two readings for a node
-    if sum(min(len(distinct_nodes(along[axis])), many) for axis in axes) > _CHECKED * count:
-        many = max(_NODES_OF_FEW, count // (2 * len(axes)))
-    tables = []
-    for name in terms:
-        if name in SQUARENESS:
-            tables.append(MachineTable(chain, name))
-            continue
-        axis = parse_motion(name).axis
-        tables.append(MachineTable(chain, name, nodes_from(along[axis], count / axes.count(axis), many)))
-    return tuple(tables)
 
 
 @dataclass(frozen=True)
@@ -237,7 +190,8 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
             terms=terms_of_points, constraints=constraints, left_out=setups.left_out, datum=said, tables=(),
             fixed=fixed, points=points,
         )  # fmt: skip
-    kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position, _telling(session)))
+    tables = bending_tables(asked_tables(chain, asked, position, _telling(session)), observations, setups)
+    kept, machine, left = _sensed_terms(observations, tables)
     constraints, words, fixed = _datum(kept, machine, setups, observations)
     laid_down = {name for constraint in constraints for name in constraint.weights}
     unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]
@@ -309,9 +263,7 @@ def _needed(
     candidates: Sequence[Constraint], terms: tuple[Term, ...], setups: datum.SetupDatum, observed: Observations
 ) -> tuple[tuple[Constraint, ...], Array]:
     """Those conditions that fix what the readings leave open, and the (unknowns, q) changes that they fix."""
-    of_setup = np.equal.outer(np.arange(len(observed.session.setup_ids)), observed.readings.setup)
-    of_setups = (of_setup[:, None] * setups.columns).reshape(-1, len(observed))
-    columns = np.concatenate([of_setups, *(term.columns for term in terms)])
+    columns = np.concatenate([setups.of_each(observed), *(term.columns for term in terms)])
     basis, scale = datum.silent_directions(columns)
     names = [p.name for p in setups.parameters] + [q.name for term in terms for q in term.parameters]
     place = {name: k for k, name in enumerate(names)}
@@ -361,6 +313,11 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
+    off = np.zeros_like(error)
+    np.maximum.at(
+        off, state, np.abs(off_the_map(observations, fit.residuals, model.sigma)[:, None] * observations.direction)
+    )
+    covariance += np.eye(3) * (off**2 - np.einsum("nii->ni", covariance)).clip(0.0)[:, :, None]
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     # Where no term and no effect moves any place, nothing was asked of its error.
