@@ -146,9 +146,9 @@ def draw_map(content: Mapping[str, Any], plane: str = "xy") -> Figure:
     figure = style.new_figure(*size, together((*_headline(whole, scale), *unknown), "\n"))
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).reshape(-1)
     limit = 0.0 if flat else 1e6 * float(np.nanmax(np.abs(whole.error[:, 2]), initial=0.0))
-    drawn = _Drawing(scale, _larger(whole, scale), limit, float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0)))
+    larger, largest = _larger(whole, scale), float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0))
     for panel, (name, layer) in zip(panels, layers, strict=False):
-        _layer(panel, layer, drawn)
+        _layer(panel, layer, scale, larger, limit, largest)
         panel.set_title(name, fontsize="medium")
     for panel in panels[len(layers) :]:
         panel.set_axis_off()
@@ -182,16 +182,6 @@ def _layers(whole: _Map) -> list[tuple[str, _Map]]:
     ]
 
 
-@dataclass(frozen=True)
-class _Drawing:
-    """Magnification of errors, of ellipses beside them; largest error along z, um, and across it, m."""
-
-    scale: float
-    larger: float
-    limit: float
-    largest: float
-
-
 def _headline(whole: _Map, scale: float) -> Iterator[str]:
     if not whole.good.any():
         yield say("picture.no_target", scale=style.spaced(scale))
@@ -203,11 +193,13 @@ def _headline(whole: _Map, scale: float) -> Iterator[str]:
     yield say("picture.largest", error=as_exact(largest, "m", expanded), u=as_exact(expanded, "m", expanded))
 
 
-def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
-    """Nominal and measured grid of one layer, seen along z."""
+def _layer(panel: Axes, layer: _Map, scale: float, larger: float, limit: float, largest: float) -> None:
+    """Nominal and measured grid of one layer, seen along z.
+
+    With the magnification of errors, and of ellipses beside them; the largest error along z, um, and across it, m.
+    """
     from matplotlib.collections import EllipseCollection, LineCollection
 
-    scale, larger, limit = drawing.scale, drawing.larger, drawing.limit
     nominal = layer.points[:, :2] * 1e3
     found = nominal + scale * layer.error[:, :2] * 1e3
     good = layer.good
@@ -247,8 +239,8 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
     panel.set_aspect("equal")
     panel.margins(0.08)
     drawn = np.vstack([nominal, found[good]])
-    if drawing.largest > 0:
-        style.scale_bar(panel, scale, drawing.largest, drawn.min(axis=0), drawn.max(axis=0))
+    if largest > 0:
+        style.scale_bar(panel, scale, largest, drawn.min(axis=0), drawn.max(axis=0))
 
 
 def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit: float, plane: str) -> None:
