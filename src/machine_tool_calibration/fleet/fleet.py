@@ -11,10 +11,10 @@ from machine_tool_calibration.fleet.each import Done
 from machine_tool_calibration.fleet.machines import Machine, Machines, Occurrence
 from machine_tool_calibration.fleet.sessions import Identified, Place
 from machine_tool_calibration.interface.show import Answer
-from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable, heads
 from machine_tool_calibration.reports.trends import trend_words
+from machine_tool_calibration.reports.verdict import verdict_said
 from machine_tool_calibration.words import Said, Verbatim, enumeration, say, together
 
 # Sentences of a trend that tell why a machine needs attention.
@@ -84,11 +84,8 @@ def verdict_of(diagnosis: Mapping[str, Any] | None) -> str:
     """What a diagnosis says, in a few words."""
     if diagnosis is None:
         return say("fleet.not_diagnosed")
-    if diagnosis["verdict"] == "missing_effect":
-        return say("verdict.missing", names=enumeration([_sized(one) for one in diagnosis["effects"]]))
-    if diagnosis["verdict"] == "outliers":
-        return say("verdict.stand_out", what=stand_out(diagnosis["outliers"]))
-    return say("verdict.nothing" if diagnosis["verdict"] == "adequate" else "verdict.unexplained")
+    names = enumeration([_sized(one) for one in diagnosis["effects"]])
+    return verdict_said(diagnosis["verdict"], names, diagnosis["outliers"])
 
 
 def _sized(one: Mapping[str, Any]) -> str:

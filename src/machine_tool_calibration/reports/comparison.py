@@ -40,8 +40,8 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     bad = only_if_right(overall.p_value, _map_of(one) if one else None)
     said: list[str] = [fitting]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
-    counted = comparison.sessions[0].counted
-    said += [say(f"compared.{'counted' if counted else 'left_out'}", text=stand_out(count))] if count else []
+    key = "compared.counted" if comparison.sessions[0].counted else "compared.left_out"
+    said += [say(key, text=say("compared.stand_out", n=count))] if count else []
     said += [_repeats(overall, one.noise, not bad or bool(count))] if one else []
     said += [say("compared.ask_diagnosis" if one else "compared.ask_result")] if bad else []
     return together(said)
@@ -79,11 +79,6 @@ def _repeats(overall: Overall, noise: Noise, explained: bool) -> str:
 def _of_repeats(noise: Noise) -> float | None:
     """What repeats of one place differ by: as they were read where that is what is told of a machine."""
     return noise.from_repeats if noise.as_read is None else noise.as_read
-
-
-def stand_out(count: int) -> str:
-    """That so many readings do not belong to the rest."""
-    return say("compared.stand_out", n=count)
 
 
 def times_declared(reduced_chi_square: float | None) -> str:
@@ -250,24 +245,23 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
 
 
 def _overall(comparison: Comparison | JointComparison) -> TextTable:
-    overall, noise, sessions = comparison.overall, None, len(comparison.sessions)
+    overall, noise = comparison.overall, None
     rows: list[tuple[str, str]] = [(say("compared.rms"), quantity(overall.rms_residual, "m"))]
-    joint = isinstance(comparison, JointComparison)
-    title = say("compared.all_sessions" if joint else "compared.all", n=overall.readings, count=sessions)
-    if not isinstance(comparison, JointComparison):
-        noise = comparison.noise
-        repeats = _of_repeats(noise)
+    if isinstance(comparison, Comparison):
+        noise, repeats = comparison.noise, _of_repeats(comparison.noise)
         rows += [
             (say("compared.declared"), quantity(noise.declared, "m")),
             (say("compared.repeated"), say("compared.no_repeats") if repeats is None else quantity(repeats, "m")),
         ]
     chi, dof = rounded(overall.reduced_chi_square), overall.degrees_of_freedom
     rows.append((say("compared.chi"), say("compared.freedom", chi=chi, n=dof)))
-    rows.append((say("compared.p" if joint else "compared.p_chance"), probability(overall.p_value)))
-    if noise is not None and noise.lack_of_fit_p is not None:
+    rows.append((say("compared.p" if noise is None else "compared.p_chance"), probability(overall.p_value)))
+    if noise is None:
+        title = say("compared.all_sessions", n=overall.readings, count=len(comparison.sessions))
+        return TextTable(title, ("", ""), tuple(rows))
+    if noise.lack_of_fit_p is not None:
         rows.append((say("compared.lack_p"), probability(noise.lack_of_fit_p)))
-    note = "" if noise is None else say("compared.expanded")
-    return TextTable(title, ("", ""), tuple(rows), note)
+    return TextTable(say("compared.all", n=overall.readings), ("", ""), tuple(rows), say("compared.expanded"))
 
 
 def _trends(comparison: Comparison) -> TextTable:

@@ -15,7 +15,6 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
-from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import effect_words, free_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
@@ -87,13 +86,18 @@ def verdict_words(
 
 def verdict_line(diagnosis: Diagnosis) -> str:
     """The verdict in one line."""
-    if diagnosis.verdict == "missing_effect":
-        sure = {name: probability(diagnosis.search.of(name).probability) for name in diagnosis.accepted}
-        found = (say("verdict.with_probability", name=name, p=p) for name, p in sure.items())
-        return say("verdict.missing", names=together(found, ", "))
-    if diagnosis.verdict == "outliers":
-        return say("verdict.stand_out", what=stand_out(len(diagnosis.gross_errors)))
-    return say("verdict.nothing" if diagnosis.verdict == "adequate" else "verdict.unexplained")
+    sure = {name: probability(diagnosis.search.of(name).probability) for name in diagnosis.accepted}
+    found = (say("verdict.with_probability", name=name, p=p) for name, p in sure.items())
+    return verdict_said(diagnosis.verdict, together(found, ", "), len(diagnosis.gross_errors))
+
+
+def verdict_said(verdict: str, names: str, outliers: int) -> str:
+    """A verdict in one line, with the effects that are missing, or how many readings do not belong to the rest."""
+    if verdict == "missing_effect":
+        return say("verdict.missing", names=names)
+    if verdict == "outliers":
+        return say("verdict.stand_out", what=say("compared.stand_out", n=outliers))
+    return say("verdict.nothing" if verdict == "adequate" else "verdict.unexplained")
 
 
 def good_enough(diagnosis: Diagnosis) -> bool:

@@ -9,12 +9,12 @@ import panel as pn
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.identification import result_parts
 from machine_tool_calibration.reports.information import counts_in_words, session_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.summary import summarize
+from machine_tool_calibration.words import say
 from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
@@ -59,7 +59,7 @@ class MeasurementPage:
         if state.model.found:
             rows = ", ".join(state.subject.name(number) for number in sorted(state.model.found)[:12])
             rows += " …" if len(state.model.found) > 12 else ""
-            outliers = f"{stand_out(len(state.model.found))} (row {rows})"
+            outliers = f"{say('compared.stand_out', n=len(state.model.found))} (row {rows})"
             suspicious.append(f"{outliers}: Compare shows, and puts back, what is set aside")
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
         self._words.object = said or "<p>Nothing is suspicious; how the model fits, Result says.</p>"
