@@ -22,7 +22,6 @@ from machine_tool_calibration.words import Words, named
 VERSION = "3.2.1"
 SPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 _SCHEMA = f"https://ptb.de/dcc https://ptb.de/dcc/v{VERSION}/dcc.xsd"
-_INSTANCE = "{http://www.w3.org/2001/XMLSchema-instance}"
 # Units as D-SI writes them.
 _UNITS = {"m": r"\metre", "rad": r"\radian", "°C": r"\degreecelsius", "Pa": r"\pascal", "1": r"\one"}
 _CONDITION_UNITS = {"air_pressure": "Pa", "relative_humidity": "1"}
@@ -67,7 +66,7 @@ def dcc_text(found: Evaluation, own: Certificate, words: Words) -> bytes:
     _leave_out_empty(root)
     if root.find(".//dcc:result", SPACES) is None:
         raise CalibrationError("the readings determine no value that a DCC could state")
-    root.set(f"{_INSTANCE}schemaLocation", _SCHEMA)
+    root.set("{http://www.w3.org/2001/XMLSchema-instance}schemaLocation", _SCHEMA)
     ElementTree.indent(root)
     made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return made

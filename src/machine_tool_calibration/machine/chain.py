@@ -6,8 +6,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-_AXES = "XYZABC"
-
 
 @dataclass(frozen=True)
 class Chain:
@@ -34,7 +32,7 @@ class Chain:
         bed = names.index("b")
         axes = names[:bed] + names[bed + 1 :]
         for name in axes:
-            if name not in tuple(_AXES):
+            if name not in tuple("XYZABC"):
                 raise ValueError(f"chain {text!r} has the unknown axis {name!r}; axes are X Y Z A B C")
         if len(set(axes)) < len(axes):
             raise ValueError(f"chain {text!r} names an axis twice")

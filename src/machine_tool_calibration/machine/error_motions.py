@@ -52,8 +52,6 @@ def off_a_line(nodes: Array, position: Array) -> tuple[IntArray, Array]:
 ERROR_MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZABC" for component in "XYZABC")
 SQUARENESS = {"A0Z": "YZ", "B0Z": "XZ", "C0Y": "XY"}
 """Squareness errors, each with the axes between which it is."""
-_TRANSLATIONS = "XYZ"
-_ROTATIONS = "ABC"
 
 
 class ErrorMotion(NamedTuple):
@@ -65,12 +63,12 @@ class ErrorMotion(NamedTuple):
     @property
     def is_rotation(self) -> bool:
         """Whether it is an angular error motion."""
-        return self.component in _ROTATIONS
+        return self.component in "ABC"
 
     @property
     def is_straightness(self) -> bool:
         """Whether a linear axis moves across its direction."""
-        return self.axis in _TRANSLATIONS and self.component in _TRANSLATIONS and self.axis != self.component
+        return self.axis in "XYZ" and self.component in "XYZ" and self.axis != self.component
 
 
 def parse_motion(name: str) -> ErrorMotion:
@@ -91,7 +89,7 @@ def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
     arm.
     """
     after = chain.axes[chain.axes.index(axis) + 1 :]
-    mask = np.array([1.0 if name in after else 0.0 for name in _TRANSLATIONS])
+    mask = np.array([1.0 if name in after else 0.0 for name in "XYZ"])
     return np.asarray(position * mask + np.asarray(chain.tool_offset))
 
 
@@ -104,8 +102,8 @@ def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:
     if motion.axis not in chain.linear:
         raise ModelError(f"E{motion.component}{motion.axis}: the chain has no linear axis {motion.axis}")
     if not motion.is_rotation:
-        return np.asarray(np.tile(np.eye(3)[_TRANSLATIONS.index(motion.component)], (len(position), 1)))
-    unit = np.eye(3)[_ROTATIONS.index(motion.component)]
+        return np.asarray(np.tile(np.eye(3)["XYZ".index(motion.component)], (len(position), 1)))
+    unit = np.eye(3)["ABC".index(motion.component)]
     return np.asarray(np.cross(unit, lever_arm(chain, motion.axis, position)))
 
 
@@ -117,8 +115,5 @@ def squareness_field(name: str, position: Array) -> Array:
     """
     if name not in SQUARENESS:
         raise ModelError(f"{name!r} is not a squareness error; known are {', '.join(SQUARENESS)}")
-    axis = name[2]
-    along = np.zeros_like(position)
-    index = _TRANSLATIONS.index(axis)
-    along[:, index] = position[:, index]
-    return np.asarray(np.cross(np.eye(3)[_ROTATIONS.index(name[0])], along))
+    along = np.where(np.arange(3) == "XYZ".index(name[2]), position, 0.0)
+    return np.asarray(np.cross(np.eye(3)["ABC".index(name[0])], along))

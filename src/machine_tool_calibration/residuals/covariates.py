@@ -9,7 +9,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
-_AXES = "xyzabc"
 _LEAST_SENSITIVITY = 1e-6  # m/m (C: m/rad)
 _BINS = 8
 
@@ -32,7 +31,7 @@ def covariates(observations: Observations) -> dict[str, Array]:
         out.setdefault("elevation", np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0)))
     if spec_of(observations.session).probes_surface:
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
-    for axis in _AXES:
+    for axis in "xyzabc":
         approach = readings.columns.get(f"dir_{axis}")
         along = sensed(observations, axis)
         if approach is not None and np.ptp(along) > _LEAST_SENSITIVITY:

@@ -70,9 +70,6 @@ def method_spec(name: str) -> MethodSpec:
     return _plugins()[name]
 
 
-_AXES = ("x", "y", "z", "a", "b", "c")
-
-
 def spec_of(session: Session) -> MethodSpec:
     """What the package knows of a session's method."""
     return method_spec(session.description.method)
@@ -91,5 +88,5 @@ def require_columns(description: Description, columns: Collection[str], source: 
             near = difflib.get_close_matches(name, columns, n=1, cutoff=0.75)
             hint = f" (it has {near[0]!r})" if near and near[0] not in needed else ""
             raise SessionError(f"{source}: the column {name!r} is missing, which {description.method} needs{hint}")
-    if method_spec(description.method).any_axis and not any(axis in columns for axis in _AXES):
+    if method_spec(description.method).any_axis and not any(axis in columns for axis in "xyzabc"):
         raise SessionError(f"{source}: no column of an axis position (x, y, z or c), which {description.method} needs")

@@ -39,9 +39,6 @@ _NOW, _THEN = "#d55e00", "#0072b2"
 _LENGTH = 0.1
 
 
-_AXES = ("x", "y", "z", "a", "b", "c")
-
-
 def changed_procedure(
     content: Mapping[str, Any], setups: Collection[str], repeats: int, dwell: float, counts: Mapping[str, int]
 ) -> str:
@@ -83,7 +80,7 @@ class ProcedureForm:
         self._dwell = pn.widgets.FloatInput(name="Wait at a target, s", start=0.01, value=1.0, step=0.5, width=110)
         self._counts = {
             name: pn.widgets.IntInput(name=label, start=1, end=10_000, value=1, width=110, visible=False)
-            for name, label in {**{axis: f"Targets along {axis}" for axis in _AXES}, "blocks": "Blocks"}.items()
+            for name, label in {**{axis: f"Targets along {axis}" for axis in "xyzabc"}, "blocks": "Blocks"}.items()
         }
         self._choices = pn.Column(
             pn.Row(pn.pane.HTML("<label>Setups that are measured</label>", margin=(8, 6)), self._setups),
