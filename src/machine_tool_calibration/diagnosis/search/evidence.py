@@ -100,12 +100,7 @@ def columns_of(blocks: Iterable[Block]) -> IntArray:
 
 
 def gram_of(pool: Pool, projected: Projected) -> Gram:
-    """Inner products of candidates' columns, with the measured data.
-
-    Args:
-        pool: the readings.
-        projected: what the model leaves of the columns and, below them, those of the pool's spread.
-    """
+    """Inner products, with the data, of what a model leaves of candidates' columns and, below, of the pool's spread."""
     fitted, gram = pool.fit.without_random.solution, projected.gram
     return Gram(
         gram[:-1, :-1], gram[:-1, -1].copy(), fitted.chi_square, pool.spread[1], fitted.degrees_of_freedom, pool.sizes
