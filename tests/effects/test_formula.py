@@ -18,7 +18,7 @@ import yaml
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.effects import catalogue as registry
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.formula import formula_effect, parse, read_effects
+from machine_tool_calibration.effects.formula import FormulaEffect, parse, read_effects
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.recording.open import open_measurement
@@ -34,10 +34,10 @@ SETTLING = {
 
 
 def test_an_effect_is_called_by_its_title_or_else_by_its_id() -> None:
-    assert formula_effect(SETTLING).title == formula_effect(SETTLING).id == "settling_y"
-    assert formula_effect(SETTLING | {"title": "column that settles"}).title == "column that settles"
-    assert formula_effect(SETTLING).kind == "position"
-    assert formula_effect(SETTLING | {"enters": "reading"}).formula.startswith("reading = b * dir_y")
+    assert FormulaEffect(SETTLING).title == FormulaEffect(SETTLING).id == "settling_y"
+    assert FormulaEffect(SETTLING | {"title": "column that settles"}).title == "column that settles"
+    assert FormulaEffect(SETTLING).kind == "position"
+    assert FormulaEffect(SETTLING | {"enters": "reading"}).formula.startswith("reading = b * dir_y")
 
 
 def test_it_needs_the_columns_of_its_formula_and_nothing_else() -> None:
@@ -47,7 +47,7 @@ def test_it_needs_the_columns_of_its_formula_and_nothing_else() -> None:
         "formula": "b * dir_y * exp(-time / tau) * (1 + c * path * sin(2 * pi * y / lead))",
         "constants": {"c": {"unit": "1/m", "value": 0.1}, "lead": {"unit": "m", "value": 0.02}},
     }
-    effect = formula_effect(wave)
+    effect = FormulaEffect(wave)
     assert effect.needs == ("dir_y", "time", "y")
     assert effect.covariates == ("dir_y", "path", "time", "y")
 
@@ -135,7 +135,7 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
 )
 def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: str) -> None:
     with pytest.raises(ModelError, match=re.escape(says)) as caught:
-        formula_effect(SETTLING | change)
+        FormulaEffect(SETTLING | change)
     assert "\n" not in str(caught.value)
 
 
@@ -147,8 +147,8 @@ def test_another_unit_than_one_of_si_is_converted() -> None:
     in_mm = session.readings.columns | {"gauge": 2.0 * session.readings.column("dir_y")}
     millimetres = build_model(session.with_readings(replace(session.readings, columns=in_mm)))[0].observations
     formula = {"formula": "b * gauge / length * exp(-time / tau)"}
-    plain = formula_effect(SETTLING | formula | {"constants": {"length": {"value": 2e-3, "unit": "m"}}})
-    other = formula_effect(
+    plain = FormulaEffect(SETTLING | formula | {"constants": {"length": {"value": 2e-3, "unit": "m"}}})
+    other = FormulaEffect(
         SETTLING
         | formula
         | {
@@ -163,7 +163,7 @@ def test_another_unit_than_one_of_si_is_converted() -> None:
         assert (theirs.low, theirs.high) == pytest.approx((mine.low, mine.high))
     np.testing.assert_allclose(other.columns(millimetres, (60.0,)), plain.columns(metres, (60.0,)), rtol=1e-12)
     with pytest.raises(ModelError, match="y is in m in every session, not in mm"):
-        formula_effect(SETTLING | {"columns": {"y": "mm"}})
+        FormulaEffect(SETTLING | {"columns": {"y": "mm"}})
 
 
 @pytest.mark.parametrize("unit", ["degC", "K"])
@@ -172,7 +172,7 @@ def test_temperatures_in_degrees_celsius_count_in_kelvin(unit: str) -> None:
         "formula": "b * (temperature_y - t0) / t0 * exp(-time / tau)",
         "constants": {"t0": {"value": 20, "unit": unit}},
     }
-    assert formula_effect(SETTLING | constant)._constants["t0"] == 20.0
+    assert FormulaEffect(SETTLING | constant)._constants["t0"] == 20.0
 
 
 @pytest.mark.parametrize("formula", ["b **", "b" * 2000, "b * (time + x) * exp(-time / tau)", "b * dir_y"])
@@ -200,7 +200,7 @@ def test_the_example_file_is_read_and_damage_is_told(tmp_path: Path) -> None:
 def test_a_formula_equals_the_built_in_effect_that_it_spells_out() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
     observations = build_model(session)[0].observations
-    spelled = formula_effect(
+    spelled = FormulaEffect(
         {
             "id": "mine",
             "enters": "y",
@@ -219,7 +219,7 @@ def _moved(readings, change):  # type: ignore[no-untyped-def]
 
 
 def test_an_id_of_the_catalogue_cannot_be_taken() -> None:
-    mine = formula_effect(SETTLING | {"id": "backlash_y"})
+    mine = FormulaEffect(SETTLING | {"id": "backlash_y"})
     with pytest.raises(ModelError, match="in the catalogue already"):
         catalogue([mine])
 

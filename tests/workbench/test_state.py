@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from machine_tool_calibration.effects.formula import formula_effect
+from machine_tool_calibration.effects.formula import FormulaEffect
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history import history_path, read_history
@@ -238,7 +238,7 @@ def test_what_does_not_belong_to_the_rest_is_judged_beside_the_effects(hidden: P
 def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) -> None:
     state = opened(hidden)
     unknown = {"b": {"unit": "m", "low": -1, "high": 1}}
-    state.know(formula_effect({"id": "mine", "enters": "y", "formula": "b * dir_y", "coefficients": unknown}))
+    state.know(FormulaEffect({"id": "mine", "enters": "y", "formula": "b * dir_y", "coefficients": unknown}))
     state.changed(add=["mine"])()
     found = state.model.fit.rms_residual
     state.undo()
@@ -296,7 +296,7 @@ def test_the_pattern_of_an_effect_of_the_users_own_is_that_of_the_same_effect_of
     from machine_tool_calibration.workbench.own_effect import unknowns_of
 
     coefficients = {"coefficients": unknowns_of("b m -2e-5 2e-5")}
-    state.know(formula_effect({"id": "mine", "enters": "y", "formula": "b * dir_y", **coefficients}))
+    state.know(FormulaEffect({"id": "mine", "enters": "y", "formula": "b * dir_y", **coefficients}))
     looked: list[Model] = []
     for name in ("mine", "backlash_y"):
         state.tried(name, looked.append)()

@@ -143,20 +143,15 @@ class Entry(Record):
         if not kept:
             return list(known)
         # here, because the file is read without the calculation that the effects need
-        from machine_tool_calibration.effects.formula import formula_effect
+        from machine_tool_calibration.effects.formula import FormulaEffect
 
-        return [*known, *(formula_effect(one, f"model {self.number} of the history") for one in kept)]
+        return [*known, *(FormulaEffect(one, f"model {self.number} of the history") for one in kept)]
 
     def same_model(self, other: Entry) -> bool:
         """Whether another entry is the same model of the same readings, with the same outcome."""
-        mine, its = (
-            (
-                *(entry.data, entry.model, frozenset(entry.sessions), frozenset(entry.effects), entry.own),
-                *(entry.set_aside, entry.kept),
-            )
-            for entry in (self, other)
-        )
-        return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
+        alike = all(getattr(self, key) == getattr(other, key) for key in ("data", "model", "own", "set_aside", "kept"))
+        alike &= all({*getattr(self, key)} == {*getattr(other, key)} for key in ("sessions", "effects"))
+        return alike and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
 
     def criterion(self) -> float:
         """The Bayesian information criterion over the number of readings, but for what all models have in common."""

@@ -220,15 +220,17 @@ class _Definition(Record):
 class FormulaEffect(Effect):
     """An effect of the user's own: linear in its coefficients, with at most one nonlinear one."""
 
-    def __init__(self, definition: _Definition) -> None:
-        """Check the formula.
+    def __init__(self, definition: Mapping[str, Any], source: str = "formula") -> None:
+        """Check a definition; messages begin with the source, or with the effect's id.
 
-        A ModelError if the formula cannot be parsed, is not linear in its coefficients, or its units do not fit.
+        A ModelError in one line: a key is missing, unknown or of a wrong kind, or the formula cannot be parsed, is not
+        linear in its coefficients, or its units do not fit.
         """
+        checked = validated(_Definition, definition, source, refusal=ModelError)
         try:
-            self._build(definition)
+            self._build(checked)
         except ModelError as error:
-            raise ModelError(f"effect {definition.id}: {error}") from None
+            raise ModelError(f"effect {checked.id}: {error}") from None
 
     def _build(self, definition: _Definition) -> None:
         self._definition = definition
@@ -328,19 +330,6 @@ class FormulaEffect(Effect):
         return np.asarray(columns * (observations.direction @ axis_unit(self._definition.enters)))
 
 
-def formula_effect(definition: dict[str, Any], source: str = "formula") -> FormulaEffect:
-    """An effect from its definition; messages begin with the source.
-
-    A ModelError if something in it is wrong; one line that says what and where.
-    """
-    return FormulaEffect(checked_definition(definition, source))
-
-
-def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
-    """A definition as a record; a ModelError if a key is missing, unknown or of a wrong kind."""
-    return validated(_Definition, definition, source, refusal=ModelError)
-
-
 def read_effects(path: Path) -> list[Effect]:
     """The user's effects from a YAML file.
 
@@ -354,9 +343,8 @@ def read_effects(path: Path) -> list[Effect]:
     for number, entry in enumerate(content["effects"], start=1):
         if not isinstance(entry, dict):
             raise ModelError(f"{path}: effect {number} is not a definition")
-        definition = checked_definition(entry, f"{path}: effect {number}")
         try:
-            out.append(FormulaEffect(definition))
+            out.append(FormulaEffect(entry, f"effect {number}"))
         except ModelError as error:
             raise ModelError(f"{path}: {error}") from None
     return out

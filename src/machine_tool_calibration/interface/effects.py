@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
-from machine_tool_calibration.effects.formula import FormulaEffect, checked_definition, read_effects
+from machine_tool_calibration.effects.formula import FormulaEffect, read_effects
 from machine_tool_calibration.interface.show import own_effects_of
 
 Range = tuple[str, float, float] | Mapping[str, Any]
@@ -64,7 +64,7 @@ class Effect(FormulaEffect):
         definition: dict[str, Any] = {"id": id, "title": title, "enters": enters, "formula": formula, "source": source}
         definition |= {"coefficients": _ranges(coefficients), "shapes": _ranges(shapes or {})}
         definition |= {"columns": columns or {}, "constants": _ranges(constants or {})}
-        super().__init__(checked_definition(definition, f"effect {id}"))
+        super().__init__(definition, f"effect {id}")
 
     def __repr__(self) -> str:
         return f"<Effect {self.id}: {self.formula}>"

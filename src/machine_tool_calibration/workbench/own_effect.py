@@ -10,7 +10,7 @@ from typing import Any
 import panel as pn
 
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.formula import FormulaEffect, formula_effect
+from machine_tool_calibration.effects.formula import FormulaEffect
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.workbench.look import bar_button, controls, folded, text, when_changed
 from machine_tool_calibration.workbench.state import State
@@ -60,7 +60,7 @@ class OwnEffect:
         """What the form says; a ModelError says why it cannot be, or not with this measurement."""
         name, formula, linear, shape = self._typed.values()
         unknowns = {"coefficients": unknowns_of(linear), "shapes": unknowns_of(shape)}
-        made = formula_effect({"id": name, "enters": self._enters.value, "formula": formula, **unknowns})
+        made = FormulaEffect({"id": name, "enters": self._enters.value, "formula": formula, **unknowns})
         if made.id in catalogue():
             raise ModelError(f"{made.id} is an effect of the catalogue: give yours another name")
         why = [made.why_not(one.fit.model.observations) for one in self._state.model.each]
