@@ -22,22 +22,20 @@ def picked(record: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(record, name) for name in names}
 
 
-def to_json(document: Any) -> str:
-    """The document as JSON text that any parser accepts."""
-    return _text(document, "")
+def to_json(value: Any, margin: str = "") -> str:
+    """A document as JSON text that any parser accepts, with a margin before its lines but for the first.
 
-
-def _text(value: Any, margin: str) -> str:
-    """Objects and lists of objects over several lines; numbers, of which a map has many, one after the other."""
+    Objects and lists of objects are over several lines; numbers, of which a map has many, one after the other.
+    """
     inner = margin + " "
     if isinstance(value, Mapping) and value:
-        entries = [f"{inner}{_compact(str(key))}: {_text(entry, inner)}" for key, entry in value.items()]
+        entries = [f"{inner}{_compact(str(key))}: {to_json(entry, inner)}" for key, entry in value.items()]
         return "{\n" + ",\n".join(entries) + f"\n{margin}}}"
     if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
-        return "[\n" + ",\n".join(inner + _text(entry, inner) for entry in value) + f"\n{margin}]"
+        return "[\n" + ",\n".join(inner + to_json(entry, inner) for entry in value) + f"\n{margin}]"
     if value is None or isinstance(value, bool | int | float | str | list | tuple | Mapping):
         return _compact(value)
-    return _text(plain(value), margin)
+    return to_json(plain(value), margin)
 
 
 def _compact(value: Any) -> str:
