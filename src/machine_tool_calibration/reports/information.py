@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
 _LARGEST_DEVIATION = 1e-3
-_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}
-_ANGLES = ("a", "b", "c", "azimuth", "elevation")
+_UNITS = {
+    **dict.fromkeys(("x", "y", "z", "displacement"), ("mm", 1e3)),
+    **dict.fromkeys(("a", "b", "c", "azimuth", "elevation"), ("°", math.degrees(1.0))),
+    **{"time": ("s", 1.0), "air_pressure": ("hPa", 0.01), "relative_humidity": ("%", 100.0)},
+}
 
 
 def measurement_document(
@@ -129,16 +132,9 @@ def _place(setup: Any) -> str:
 
 
 def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
-    unit, factor = _UNITS.get(column.name, ("", 1.0))
-    if column.name in _ANGLES:
-        unit, factor = "°", math.degrees(1.0)
-    elif column.name.startswith("temperature_"):
-        unit = "°C"
-    elif column.name == "air_pressure":
-        unit, factor = "hPa", 0.01
-    elif column.name == "relative_humidity":
-        unit, factor = "%", 100.0
-    elif column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _LARGEST_DEVIATION:
+    other = ("°C" if column.name.startswith("temperature_") else "", 1.0)
+    unit, factor = _UNITS.get(column.name, other)
+    if column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _LARGEST_DEVIATION:
         unit, factor = "µm", 1e6
     low, high = (("" if value is None else f"{value * factor:.6g}") for value in (column.low, column.high))
     return named("column", column.name), low, high, unit, str(column.missing or "")
