@@ -101,11 +101,7 @@ def _words(defect: dict[str, Any], record: type[BaseModel] | None) -> str:
     if kind in _BOUNDS:
         bound, words = _BOUNDS[kind]
         return f"{key} must be {words} {context[bound]:g}, not {shown(value)}"
-    if kind == "value_error":
-        text = str(context["error"])
-        return f"{key}: {text}" if path else text
-    text = defect["msg"]
-    text = f"{text[:1].lower()}{text[1:]}"
+    text = str(context["error"]) if kind == "value_error" else f"{defect['msg'][:1].lower()}{defect['msg'][1:]}"
     return f"{key}: {text}" if path else text
 
 
