@@ -70,9 +70,10 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     direction of approach and a position where lost motion is not the same everywhere.
     """
     out, outside = [], _Outside(pool)
+    kinds = (_of_one, _products, _lost_motions, _constants_of_texts, _slopes_of_setups)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         # Axes that cross in the middle of their travel have no product.
-        functions = [function for function in _functions(observations) if len(function[2])]
+        functions = (f for kind in kinds for f in kind(observations) if len(f[2]))
         own = [_structure(c, how, (ShapedColumns((), columns),)) for c, how, columns in functions]
         if len(observations) >= _ENOUGH:
             own += _zones(observations, partial(outside.explained, piece=piece))
@@ -125,11 +126,6 @@ class _Outside:
                 data = marginal.data[own]
                 out[k, some] = np.sum(data * np.linalg.solve(core, data[..., None])[..., 0], axis=1)
         return list(out)
-
-
-def _functions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    for functions in (_of_one, _products, _lost_motions, _constants_of_texts, _slopes_of_setups):
-        yield from functions(observations)
 
 
 def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
