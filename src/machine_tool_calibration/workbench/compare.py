@@ -20,10 +20,7 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-_HOVER = [
-    ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
-    ("studentized", "@studentized{0.0}"),
-]  # fmt: skip
+_HOVER = [*look.HOVER[:2], ("residual", "@residual{0.000} µm"), ("studentized", "@studentized{0.0}")]
 _DRAWN = ("aside", "against0", "against1", "across", "up", "u", "v", "arrow")
 # Of a plot, so that two below each other fit a window of 768 pixels.
 _HEIGHT = 255
@@ -62,7 +59,7 @@ class ComparePage:
         self._suggest = look.bar_button("Select what does not belong to the rest", self._select_suggested)
         self._look.visible = self._suggest.visible = False
         buttons = (self._aside, self._back, self._look, self._cleared, self._suggest)
-        self.view = pn.Column(
+        self.view = look.column(
             self._words,
             look.controls(*self._against, self._plane, self._rows, *buttons),
             pn.Row(self._shown, self._count, sizing_mode="stretch_width"),
@@ -70,7 +67,6 @@ class ComparePage:
             look.beside(self._map, self._strip),
             look.beside(self._setups, self._table, least=560),
             look.folded("By repeat, region, direction of approach and covariate", self._more),
-            sizing_mode="stretch_width",
         )
 
     def _draw(self, source: ColumnDataSource) -> None:

@@ -6,7 +6,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange
 
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
@@ -20,10 +19,7 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-_HOVER = [
-    ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
-    ("pattern", "@pattern{0.000} µm"),
-]  # fmt: skip
+_HOVER = [*look.HOVER[:2], ("residual", "@residual{0.000} µm"), ("pattern", "@pattern{0.000} µm")]
 # The pattern lies over residuals in all colours of setups.
 _PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 _DRAWN = ("residual", "pattern", "over")
@@ -54,7 +50,7 @@ class DiagnosePage:
         )
         search = look.bar_button("Look for what is missing", lambda: work.run(searching, state.diagnosed()), "primary")
         self._own = OwnEffect(state, self._new_effect)
-        self.view = pn.Column(
+        self.view = look.column(
             look.controls(search, self._effect, self._against, self._add, self._all),
             self._words,
             self._said,
@@ -66,7 +62,6 @@ class DiagnosePage:
                 "some were not looked for",
                 self._tables,
             ),
-            sizing_mode="stretch_width",
         )
 
     def _plots(self, source: ColumnDataSource) -> tuple[Any, ...]:

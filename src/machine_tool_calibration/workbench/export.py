@@ -11,7 +11,7 @@ from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
 from machine_tool_calibration.words import LANGUAGES
 from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
-from machine_tool_calibration.workbench.look import bar_button, choice, controls, tables, text
+from machine_tool_calibration.workbench.look import bar_button, choice, column, controls, tables, text
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved
 from machine_tool_calibration.workbench.state import Job, State
@@ -45,7 +45,7 @@ class ExportPage:
         self._preview = text()
         self._picture = pn.pane.PNG(None, sizing_mode="scale_width", max_width=1000, alt_text="errors before and after")
         self._keep = bar_button("Save the files", self._save_files, "primary", disabled=True)
-        self.view = pn.Column(
+        self.view = column(
             controls(self._saved.folder),
             self._saved.list,
             text("<h3>Report to hand over</h3>"),
@@ -63,7 +63,6 @@ class ExportPage:
             controls(self._form, bar_button("Show what would be left", self._show_left), self._keep),
             self._preview,
             self._picture,
-            sizing_mode="stretch_width",
         )  # fmt: skip
 
     def refresh(self) -> None:

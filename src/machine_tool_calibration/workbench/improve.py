@@ -4,7 +4,6 @@
 from html import escape
 
 import numpy as np
-import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.improve import leaves_something
@@ -54,15 +53,14 @@ class ImprovePage:
         maps = {name: one.plot for name, one in self._maps.items()}
         for pair in (self._residuals, maps):
             pair["after"].x_range, pair["after"].y_range = pair["before"].x_range, pair["before"].y_range
-        self.view = pn.Column(
+        self.view = look.column(
             look.controls(self._all, self._undo, self._add, self._take, self._go, self._before, self._plane),
             self._note,
             look.beside(self._fall, self._table),
             look.beside(*self._residuals.values(), *maps.values(), least=300),
             self._scale,
             self._history,
-            sizing_mode="stretch_width",
-        )  # fmt: skip
+        )
 
     def _draw_steps(self) -> None:
         """The error from model to model."""

@@ -96,24 +96,13 @@ class LivePage:
         yes, no = look.bar_button("Yes", self._confirmed, "danger"), look.bar_button("No", self._refused)
         self._confirm = pn.Row(self._question, yes, no, visible=False)
         self._plots()
-        self.view = pn.Column(
+        self.view = look.column(
             self._where,
             pn.Row(self._take, self._bar, self._count, sizing_mode="stretch_width"),
-            look.beside(
-                self._nodes,
-                pn.Column(
-                    self._services, self._refusing, self._confirm, self._answers, sizing_mode="stretch_width",
-                ),
-            ),
+            look.beside(self._nodes, look.column(self._services, self._refusing, self._confirm, self._answers)),
             look.beside(self._readings, self._residuals),
-            look.beside(
-                self._map.plot,
-                pn.Column(
-                    self._plane, self._uncertainty, self._map_words, self._setups, sizing_mode="stretch_width",
-                ),
-            ),
-            sizing_mode="stretch_width",
-        )  # fmt: skip
+            look.beside(self._map.plot, look.column(self._plane, self._uncertainty, self._map_words, self._setups)),
+        )
         pn.state.curdoc.add_periodic_callback(self._look, _PERIOD)
 
     def _plots(self) -> None:

@@ -156,6 +156,11 @@ def bar_button(name: str, act: Callable[[], object], kind: str = "default", **mo
     return button
 
 
+def column(*items: Any) -> Any:
+    """What stands below each other, over the whole width."""
+    return pn.Column(*items, sizing_mode="stretch_width")
+
+
 def controls(*items: Any) -> Any:
     """Fields and buttons beside each other, on further lines where the window is narrow; buttons level with fields."""
     return pn.FlexBox(*items, align_items="end", sizing_mode="stretch_width")
@@ -165,7 +170,7 @@ def beside(*items: Any, least: int = 420) -> Any:
     """Plots and tables beside each other, on further lines where the window leaves them less than so many pixels."""
     styles = {"display": "grid", "grid-template-columns": f"repeat(auto-fit, minmax(min({least}px, 100%), 1fr))"}
     # In a column, which can be hidden: the style of the row would show it all the same.
-    return pn.Column(pn.Row(*items, sizing_mode="stretch_width", styles=styles), sizing_mode="stretch_width")
+    return column(pn.Row(*items, sizing_mode="stretch_width", styles=styles))
 
 
 def folded(title: str, *items: Any) -> Any:

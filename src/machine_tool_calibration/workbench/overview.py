@@ -5,7 +5,6 @@ from dataclasses import replace
 from html import escape
 
 import numpy as np
-import panel as pn
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.plots.style import spaced
@@ -40,7 +39,7 @@ class MeasurementPage:
             plot.scatter(*view, source=source, size=4, color="color", alpha=0.7, **look.DIM)
             look.draw_stations(plot, self._stations, *view)
         below = look.beside(*self._plots.values(), self._setups, self._more)
-        self.view = pn.Column(self._words, below, sizing_mode="stretch_width")
+        self.view = look.column(self._words, below)
 
     def refresh(self) -> None:
         """Show the measurement."""
@@ -86,11 +85,8 @@ class ResultPage:
         self._plane = look.choice("Map in the plane", lambda _: self._draw(), width=110)
         self._variant = look.choice("Model", self._fit, width=150)
         self._map = look.MapPlot("#0072b2")
-        self.view = pn.Column(
-            self._words,
-            look.controls(self._variant, self._plane),
-            look.beside(self._values, self._map.plot),
-            sizing_mode="stretch_width",
+        self.view = look.column(
+            self._words, look.controls(self._variant, self._plane), look.beside(self._values, self._map.plot)
         )
 
     def refresh(self) -> None:

@@ -170,7 +170,7 @@ class PlanPage:
         size = {"value": 1e6 * ANGULAR, "start": 0.0, "end": 1000.0, "step": 1.0}
         self._angular = pn.widgets.FloatInput(name="Angular errors, µrad RMS", width=160, **size)
         self._plots(readings)
-        self.view = pn.Column(
+        self.view = look.column(
             look.controls(
                 look.bar_button("Look ahead", self._look_ahead, "primary"),
                 self._choice, self._plane, self._saved.folder, self._save,
@@ -184,7 +184,6 @@ class PlanPage:
                 look.controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
                 self._plan,
             ),
-            sizing_mode="stretch_width",
         )  # fmt: skip
 
     def _plots(self, readings: Readings) -> None:
