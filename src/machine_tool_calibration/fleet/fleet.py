@@ -101,7 +101,7 @@ def _first_size(one: Mapping[str, Any]) -> str:
     return quantity(first["value"], first["unit"], first["standard_uncertainty"])
 
 
-def machines_table(fleet: Machines, machines: Sequence[Machine]) -> TextTable:
+def machines_table(machines: Sequence[Machine]) -> TextTable:
     """Machines with why they need attention, in sentences."""
     rows = []
     for one in machines:
@@ -186,9 +186,8 @@ class Fleet(Answer, Machines):
     def parts(self) -> Iterator[Part]:
         """Which machines need attention and why, which effects occur where, and what was not evaluated."""
         yield fleet_line(self)
-        yield from filter(
-            lambda table: table.rows, (machines_table(self, self.attention), effects_table(self), problems_table(self))
-        )
+        tables = (machines_table(self.attention), effects_table(self), problems_table(self))
+        yield from (table for table in tables if table.rows)
 
     @cached_property
     def _document(self) -> dict[str, Any]:

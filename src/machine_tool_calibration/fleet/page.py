@@ -59,7 +59,7 @@ def _attention(fleet: Machines) -> Iterator[Block]:
     if not fleet.machines:
         return
     yield Picture("overview", say("fleet.figure_overview"), draw_fleet(fleet))
-    yield _untitled(machines_table(fleet, fleet.attention))
+    yield _untitled(machines_table(fleet.attention))
     changed = [one for one in fleet.attention if one.trend.alarms]
     for machine in changed[:_DRAWN]:
         title = say("fleet.figure_trend", machine=Verbatim(machine.name))
