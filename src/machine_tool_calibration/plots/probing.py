@@ -83,10 +83,8 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     shown = np.where((good & ~poor).reshape(len(xs), len(ys))[..., None], moved, np.nan)
     nominal = 1e3 * grid.reshape(len(xs), len(ys), 2)
     for lines, color, width in ((nominal, _GRAY, 0.5), (shown, "tab:blue", 1.0)):
-        for k in range(len(xs)):
-            panel.plot(lines[k, :, 0], lines[k, :, 1], color=color, lw=width)
-        for k in range(len(ys)):
-            panel.plot(lines[:, k, 0], lines[:, k, 1], color=color, lw=width)
+        for way in (lines.transpose(1, 0, 2), lines):
+            panel.plot(way[..., 0], way[..., 1], color=color, lw=width)
     if poor.any():
         hollow: dict[str, Any] = {"ls": "", "marker": "o", "ms": 4, "mfc": "none", "color": "tab:orange"}
         panel.plot(*1e3 * grid[poor].T, **hollow, label=say("picture.uncertain"))
