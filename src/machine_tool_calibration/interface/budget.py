@@ -125,6 +125,4 @@ class Conformity(Answer, Judged):
         """What `mtcal conformity` prints."""
         return conformity_parts(self)
 
-    @cached_property
-    def _document(self) -> dict[str, Any]:
-        return conformity_document(self)
+    _document = cached_property(conformity_document)

@@ -92,9 +92,7 @@ class Improvement(Answer, Done):
         """The picture of `mtcal improve`: the error falling, and the residuals before and after."""
         return notebook(draw_improvement(self))
 
-    @cached_property
-    def _document(self) -> dict[str, Any]:
-        return improvement_document(self)
+    _document = cached_property(improvement_document)
 
 
 def improve(

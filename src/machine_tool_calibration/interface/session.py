@@ -48,8 +48,7 @@ class Measurement(Shown):
         The columns are those of `observations.csv` (`time` s, `setup`, `repeat`, `x` `y` `z` m, `c` rad,
         `displacement` m, …); of several sessions `session` comes first. A lost reading has the displacement NaN.
         """
-        frames = [readings_frame(session) for session in self.sessions]
-        return one_below_the_other(self.labels, frames)
+        return one_below_the_other(self.labels, [readings_frame(session) for session in self.sessions])
 
     @property
     def headline(self) -> str:
