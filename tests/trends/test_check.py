@@ -16,11 +16,12 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.priors import ALL_REPRODUCES
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
+from machine_tool_calibration.methods.map_comparison import LEVEL
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.trends import check_remarks
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import MachineSpec
-from machine_tool_calibration.trends.check import LEVEL, SESSIONS, between_sessions, check
+from machine_tool_calibration.trends.check import SESSIONS, between_sessions, check
 from machine_tool_calibration.trends.statement import Part, Statement, of_fit, of_result
 from machine_tool_calibration.trends.trend import ALARM, CHANGED, SHIFTED, Explanation, _cases, explain
 

@@ -7,12 +7,12 @@ from functools import cached_property
 from typing import Any
 
 from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.methods.map_comparison import LEVEL
 from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.plots.trend import draw_trend
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict, trend_table, trend_words
-from machine_tool_calibration.trends.check import LEVEL
 from machine_tool_calibration.trends.check import Check as Checked
 from machine_tool_calibration.trends.trend import ALARM, Course
 from machine_tool_calibration.trends.trend import Trend as Followed

@@ -28,8 +28,6 @@ from machine_tool_calibration.methods.joint.map import squared_bend
 from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
 from machine_tool_calibration.trends.statement import Part, Statement
 
-__all__ = ["LEVEL", "Change", "Check", "between_sessions", "check"]
-
 SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
 _MEDIAN = 0.4549  # median of the square of a standard normal number
@@ -154,38 +152,29 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
     return out
 
 
-@dataclass(frozen=True)
-class _Values:
-    """An error as one measurement has it at some positions, or a single number."""
-
-    value: Array  # (q,) in the unit; NaN where not determined
-    u: Array  # (q,) standard uncertainty
-    deviations: Array | None  # (draws, q) drawn together; None of a document
-    variance: Array  # (q,) of what straight lines between its positions are wrong by
-
-
 def _part(earlier: Statement, now: Statement, name: str, between: float) -> Change | None:
     """The change of an error motion or of a single number; None where they have nothing in common."""
     one, two = earlier.parts[name], now.parts[name]
     if (one.at is None) != (two.at is None) or not len(at := _reached(one, two)):
         return None
-    before, after = _values(earlier, one, at), _values(now, two, at)
-    good = np.isfinite(before.value + after.value + before.u + after.u)
+    first, u_first, drawn, line = _values(earlier, one, at)
+    second, u_second, drawn_now, line_now = _values(now, two, at)
+    good = np.isfinite(first + second + u_first + u_second)
     if not good.any():
         return None
-    first, second = before.value[good], after.value[good]
-    spread = (2.0 * between**2 + before.variance + after.variance)[good]
-    if one.at is not None and good.sum() > 1 and before.deviations is not None and after.deviations is not None:
+    first, second = first[good], second[good]
+    spread = (2.0 * between**2 + line + line_now)[good]
+    if one.at is not None and good.sum() > 1 and drawn is not None and drawn_now is not None:
         base, _ = np.linalg.qr(Part(name, one.unit, one.members, at[good]).datum)
         first, second = (value - base @ (base.T @ value) for value in (first, second))
-        draws = len(before.deviations)
-        rows = (before.deviations - after.deviations)[:, good] / np.sqrt(draws)
+        draws = len(drawn)
+        rows = (drawn - drawn_now)[:, good] / np.sqrt(draws)
         rows = np.concatenate([rows, np.diag(np.sqrt(spread))[spread > 0]])
         rows = rows - (rows @ base) @ base.T
         u = np.sqrt(np.einsum("kq,kq->q", rows, rows))
         p = joint_p_value(second - first, rows, draws)
     else:
-        u, p = np.sqrt(before.u[good] ** 2 + after.u[good] ** 2 + spread), None
+        u, p = np.sqrt(u_first[good] ** 2 + u_second[good] ** 2 + spread), None
     size = (float(first[0]), float(second[0])) if one.at is None else (float(np.ptp(first)), float(np.ptp(second)))
     places = ((),) * len(u) if one.at is None else tuple((place,) for place in at[good].tolist())
     return _change(name, one.unit, size, second - first, u, places, between, p)
@@ -200,8 +189,12 @@ def _reached(one: Part, two: Part) -> Array:
     return reached
 
 
-def _values(own: Statement, part: Part, at: Array) -> _Values:
-    """What a statement says of a part at positions (q,), by straight lines between its own."""
+def _values(own: Statement, part: Part, at: Array) -> tuple[Array, Array, Array | None, Array]:
+    """What a statement says of a part at positions (q,), by straight lines between its own.
+
+    (q,) values, NaN where not determined, and standard uncertainties in the unit; (draws, q) deviations drawn together,
+    None of a document; (q,) variance of what the straight lines are wrong by.
+    """
     members, weights, variance = part.members, np.ones((1, 1)), np.zeros(len(at))
     drawn = None if own.samples is None or members.max() >= own.samples.shape[1] else own.samples
     if part.at is not None:
@@ -219,7 +212,7 @@ def _values(own: Statement, part: Part, at: Array) -> _Values:
         np.where(used, one[members][:, None] * weights, 0.0).sum(axis=0) for one in (own.numbers.value, own.numbers.u)
     )
     deviations = None if drawn is None else np.nan_to_num(drawn[:, members]) @ weights
-    return _Values(value, u, deviations, variance)
+    return value, u, deviations, variance
 
 
 def _position(earlier: Statement, now: Statement, between: float) -> Change | None:
