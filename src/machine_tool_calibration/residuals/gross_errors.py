@@ -160,34 +160,26 @@ class _Fit:
 
 
 class _Search:
-    """The search in one model.
-
-    Attributes:
-        way: (n,) way of the axes up to each reading where it reads the machine's own deviation; None elsewhere.
-        along: (n,) the axis along which each of such readings is; None elsewhere.
-        start: shared unknowns and points at which the readings are linearised.
-        doubtful: rows that are judged in any case.
-        pattern: whether courses of the runs were subtracted from the readings.
-        explained: (n,) which readings a course of their run or their repeats explain.
-        right: (n,) those among them that are beside a step or a bend of the machine, which the model cannot follow.
-        bent: (n,) those of which no other reading of their place is left.
-    """
+    """The search in one model."""
 
     def __init__(self, model: MethodModel, doubtful: Sequence[int] = ()) -> None:
-        self.doubtful = list(doubtful)
+        self.doubtful = list(doubtful)  # rows that are judged in any case
         self.problem = assemble([model]).problem
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
         direct = spec_of(model.observations.session).reads_machine
         self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct)
+        # (n,) way of the axes up to each reading, and the axis along which it is, where the machine's own is read.
         self.way = _way(model.observations) if direct else None
         self.along = np.abs(model.observations.direction).argmax(axis=1) if direct else None
         self.sigma = model.sigma
         self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
         theta, local = self.problem.zero
-        self.start = theta, local[0]
-        self.pattern = False
+        self.start = theta, local[0]  # shared unknowns and points at which the readings are linearised
+        self.pattern = False  # whether courses of the runs were subtracted from the readings
+        # (n,) which readings a course of their run or their repeats explain; those among them beside a step or a bend
+        # of the machine, which the model cannot follow; those of which no other reading of their place is left.
         self.explained, self.right, self.bent = np.zeros((3, self.n), dtype=bool)
 
     @classmethod
