@@ -87,11 +87,6 @@ class Pool:
         """Ids of all sessions' setups, with the session's name where there are several."""
         return tuple(self.label(k) + name for k, o in enumerate(self.observations) for name in o.session.setup_ids)
 
-    @cached_property
-    def position(self) -> Array:
-        """(n, 3) nominal functional points, m."""
-        return np.concatenate([o.position for o in self.observations])
-
     def label(self, index: int) -> str:
         """Name of a session, to be put before what is its own; empty if there is only one."""
         labels = self.fit.assembly.labels
