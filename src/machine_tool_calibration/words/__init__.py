@@ -14,11 +14,6 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = [
-    *("LANGUAGES", "TIMES", "Said", "Verbatim", "Words"),
-    *("enumeration", "figures", "lasting", "named", "say", "together", "words"),
-]
-
 _FILES = {file.name.removesuffix(".yaml"): file for file in resources.files(__package__).iterdir() if ".y" in file.name}
 LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
 """Codes of the languages that have a file, English first."""

@@ -11,8 +11,6 @@ from machine_tool_calibration.session.checks.units import check_sizes, check_uni
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["check_session"]
-
 _TOLD_BY_TIME = 0.4  # share of different times among the readings from which the time distinguishes readings
 
 
