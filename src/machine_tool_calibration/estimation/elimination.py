@@ -88,9 +88,7 @@ class Rows:
 
     def pick(self, points: slice | IntArray) -> Rows:
         """Some of the points."""
-        return Rows(
-            self.residual[:, points], self.local[:, :, points], self.block[:, :, points], self.dense[:, :, points]
-        )
+        return Rows(*(own[..., points] for own in (self.residual, self.local, self.block, self.dense)))
 
 
 def cholesky(matrix: Array) -> tuple[Array, Array]:

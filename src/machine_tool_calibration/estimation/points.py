@@ -124,13 +124,10 @@ class _Work:
         """(n,) whether points stay where they are while the shared unknowns change in a way that nothing fixes."""
         pushed = np.tensordot(self.undetermined[index], seen, axes=(0, 0))
         answer = np.einsum("abn,kbn->kan", normal_inverse, pushed)
-        # Beside what the point would do if the unknowns that it sees changed one by one.
-        scale = np.einsum("abn,cbn->an", np.abs(normal_inverse), np.abs(seen * self.size(index)[:, None, None]))
+        # Beside what the point would do if the unknowns that it sees changed one by one, as much as nothing fixes them.
+        largest = np.abs(self.undetermined).max(axis=1)[index]
+        scale = np.einsum("abn,cbn->an", np.abs(normal_inverse), np.abs(seen * largest[:, None, None]))
         return np.asarray((np.abs(answer) < _OPEN_SHARE * np.maximum(scale, np.finfo(float).tiny)).all(axis=(0, 1)))
-
-    def size(self, index: IntArray) -> Array:
-        """Largest change of each shared unknown among the directions that nothing fixes."""
-        return np.asarray(np.abs(self.undetermined).max(axis=1)[index])
 
     def spread(self, group: int, chunk: slice) -> Array:
         """Fill in the covariances of a chunk: H^-1 + H^-1 F Q F^T H^-1, less what the point moves the datum."""
@@ -162,8 +159,7 @@ class _Work:
 
 def _seen(part: Part, group: int, rows: Rows) -> tuple[Array, IntArray]:
     """(c, d, n) F^T: products of the shared unknowns' columns with the points', and their places."""
-    layout = part.groups[group]
-    return local_columns(rows, layout.place)[:-1], part.columns(group)
+    return local_columns(rows, part.groups[group].place)[:-1], part.columns(group)
 
 
 def _product(left: Array, right: Array) -> Array:

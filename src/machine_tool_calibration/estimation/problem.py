@@ -86,8 +86,7 @@ def _table(point: IntArray, block: IntArray) -> Group | None:
         layers.append(layer.reshape(n_blocks, n_points))
     slots = [(b, layer[b]) for b in range(n_blocks) for layer in layers if (layer[b] >= 0).any()]
     rows = layers[0] if len(slots) == n_blocks == len(layers) * n_blocks else np.array([row for _, row in slots])
-    read = (rows >= 0).any(axis=0)
-    points = np.flatnonzero(read)
+    points = np.flatnonzero((rows >= 0).any(axis=0))
     if n < _FILLED * len(slots) * len(points):
         return None
     return Group(np.array([b for b, _ in slots]), rows if len(points) == n_points else rows[:, points], points)
@@ -235,20 +234,13 @@ class LinearPart(Part):
         self._slots = []
         weight = 1.0 / sigma
         for group in groups:
-            present = group.rows >= 0
-            w = np.where(present, weight[group.rows], 0.0)
-            self._slots.append(
-                (
-                    reading[group.rows] * w,
-                    np.ascontiguousarray(local[:, group.rows]) * w,
-                    np.ascontiguousarray(block[:, group.rows]) * w,
-                    np.ascontiguousarray(dense[:, group.rows]) * w,
-                )
-            )
+            w = np.where(group.rows >= 0, weight[group.rows], 0.0)
+            every = (np.ascontiguousarray(own[..., group.rows]) * w for own in (reading, local, block, dense))
+            self._slots.append(Rows(*every))
 
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """The weighted columns; the residual is taken at the given unknowns."""
-        rows = Rows(*(values[..., chunk] for values in self._slots[group]))
+        rows = self._slots[group].pick(chunk)
         layout = self.groups[group]
         residual = rows.left(theta[self.block_index[layout.block]], theta[self.dense_index])
         if self.dimension:
