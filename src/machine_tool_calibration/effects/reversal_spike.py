@@ -22,7 +22,6 @@ class ReversalSpike(CircleEffect):
     source = "ISO 230-4:2005, Annex B; Kakino, Ihara and Nakatsu 1987"
     coefficients = (Coefficient("h", "m", 0.0, 5e-5, say("coefficient.spike")),)
     shapes = (Shape("reach", "m", 1e-5, 0.2, meaning=say("coefficient.reach")),)
-    needs = ("{axis}", "dir_{axis}")
     chain = moves = "{AXIS}"
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

@@ -17,7 +17,6 @@ class StationDrift(Effect):
     formula = say("formula.station_drift")
     source = "Schwenke et al. 2005, drift of the tracking interferometer's mount"
     kind = "reading"
-    coefficients = ()
     needs = ("time",)
     methods = ("tracking_interferometer", "rotary_axis")
     setup_level = True
