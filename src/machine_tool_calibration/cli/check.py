@@ -79,8 +79,7 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
         if {one.method for one in base.sessions} == {one.method for one in asked.sessions}:
             asked = replace(asked, model=wanted.model or base.model, effects=wanted.effects or base.effects)
         asked = replace(asked, own=base.own) if map_has_history else asked
-        now = state(asked, str(measurement))
-        answer = Check.of(check(first, now, history))
+        answer = Check.of(check(first, state(asked, str(measurement)), history))
     tell(answer, as_json)
 
 

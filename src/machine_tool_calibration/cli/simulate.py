@@ -161,8 +161,7 @@ def _short(value: Any) -> str:
 def _list(as_json: bool) -> None:
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
-    keys = ("id", "formula", "unit", "typical", "methods", "listed")
-    known = [picked(flaw, *keys) for flaw in FLAWS.values()]
+    known = [picked(flaw, "id", "formula", "unit", "typical", "methods", "listed") for flaw in FLAWS.values()]
     document = {"presets": {name: plan.method for name, plan in PRESETS.items()}, "effects": known}
     presets = tuple((name, plan.method.replace("_", " ")) for name, plan in PRESETS.items())
     rows = tuple((flaw.id, flaw.formula, quantity(flaw.typical, flaw.unit)) for flaw in FLAWS.values())

@@ -48,7 +48,6 @@ class RotaryBacklash(ReversalEffect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The table turns about its axis; what is on it moves across its radius."""
-        sign = observations.session.rotation_sign
-        moved = np.cross(sign * axis_direction(self.axis), observations.position)
+        moved = np.cross(observations.session.rotation_sign * axis_direction(self.axis), observations.position)
         sensed = np.einsum("nj,nj->n", moved, observations.table_direction)
         return np.asarray(-self.approach(observations) * sensed)[None]

@@ -41,5 +41,4 @@ class Reversal(ReversalEffect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """What a unit of the motion changes, against the direction of approach."""
-        sensed = sensed_motion(observations, parse_motion(self.name))
-        return np.asarray(-self.approach(observations) * sensed)[None]
+        return np.asarray(-self.approach(observations) * sensed_motion(observations, parse_motion(self.name)))[None]

@@ -28,8 +28,7 @@ class SquarenessThermal(SquarenessEffect):
         """Thermal change of A0Z, B0Z or C0Y."""
         super().__init__(name)
         self.sensors = tuple(f"temperature_{axis.lower()}" for axis in self.chain)
-        sensors = together(self.sensors, say("text.and"))
-        self.formula = say("formula.squareness_thermal", name=name, sensors=sensors)
+        self.formula = say("formula.squareness_thermal", name=name, sensors=together(self.sensors, say("text.and")))
         self.covariates = (*self.needs, *self.sensors)
 
     def why_not(self, observations: Observations) -> str | None:

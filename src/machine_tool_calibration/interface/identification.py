@@ -148,8 +148,7 @@ class Fit(Answer):
         `u_declared` (standard uncertainty), m, and the other columns as recorded, with those that `compare` has besides
         (`leverage`, `studentized`, covariates); of several sessions `session` first.
         """
-        frames = [residual_table(fit) for fit in self.result.joint.fits]
-        return one_below_the_other(self.measurement.labels, frames)
+        return one_below_the_other(self.measurement.labels, [residual_table(fit) for fit in self.result.joint.fits])
 
     @cached_property
     def rejected(self) -> pd.DataFrame:
@@ -411,8 +410,7 @@ def identify(
     """
     ids, known = split_effects(effects, own)
     measurement = load(session)
-    asked = FitRequest(measurement.sessions, measurement.labels, model, ids, known, keep_all)
-    return fitted(measurement, asked)
+    return fitted(measurement, FitRequest(measurement.sessions, measurement.labels, model, ids, known, keep_all))
 
 
 def fitted(measurement: Measurement, asked: FitRequest, history: tuple[Entry, ...] = ()) -> Fit:

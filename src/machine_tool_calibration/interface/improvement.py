@@ -138,7 +138,5 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
         before = steps[-1] if steps else None
         added = [name for name in fit.effects if before and name not in before.result.effects]
         change = (" + ".join(added) or f"model {fit.model}") if before else ""
-        none = tuple(() for _ in fit.chosen.sessions)
-        steps.append(Step(before, change, fit.chosen, fit.result, none))
-    declared = noise_of(models[0].result.joint.fits[0]).declared
-    return notebook(draw_steps(steps, declared))
+        steps.append(Step(before, change, fit.chosen, fit.result, tuple(() for _ in fit.chosen.sessions)))
+    return notebook(draw_steps(steps, noise_of(models[0].result.joint.fits[0]).declared))

@@ -91,5 +91,4 @@ def _course(one: Course) -> dict[str, Any]:
         told |= picked(one.explanation, "jump", "drift", "change", "u", "spread")
         told |= {"began": list(one.began), "instrument": one.explanation.shift}
         told |= {"instrument_step": one.explanation.step, "instrument_step_u": one.explanation.u_step}
-    instruments = [one.ways[way] for way in one.way]
-    return told | {"value_u": one.u, "instruments": instruments}
+    return told | {"value_u": one.u, "instruments": [one.ways[way] for way in one.way]}

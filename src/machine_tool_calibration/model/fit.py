@@ -251,8 +251,7 @@ def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
     added = [tuple(replace(t, parameters=_further(t.parameters)) for t in own) for own in terms]
     pairs = zip(old.models, added, strict=True)
     wide = assemble([model.with_terms(own) for model, own in pairs], old.labels)
-    m = len(old.parameters)
-    known = np.empty(m, dtype=np.int64)
+    known = np.empty(len(old.parameters), dtype=np.int64)
     for before, after in zip(old.places, wide.places, strict=True):
         known[before] = after[: len(before)]
     new = np.setdiff1d(np.arange(len(wide.parameters)), known)

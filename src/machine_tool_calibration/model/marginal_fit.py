@@ -49,8 +49,7 @@ class Solved:
 
     def normalised(self, index: int) -> Array:
         """(n,) measured minus predicted over the declared uncertainty, of a session."""
-        part = self.assembly.problem.parts[index]
-        return scaled_residuals(part, self.solution.theta, self.solution.local[index])
+        return scaled_residuals(self.assembly.problem.parts[index], self.solution.theta, self.solution.local[index])
 
     @cached_property
     def without_expectations(self) -> Problem:
@@ -132,8 +131,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     # Rows of a plate that differ are the part's, as far as the map is concerned.
     families = [with_drift(one) for one in observed]
     if solved.random is None and problem.n_readings <= _ENOUGH:
-        lacking = [_imperfect(one) for one in observed]
-        families = [own + further for own, further in zip(families, lacking, strict=True)]
+        families = [own + _imperfect(one) for own, one in zip(families, observed, strict=True)]
     parts, place, names = _widened(problem, families)
     offset = np.concatenate([np.zeros(0, dtype=bool), *(f.offsets for own in families for f in own)])
     u = len(place)

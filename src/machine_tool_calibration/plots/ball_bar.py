@@ -39,8 +39,7 @@ def draw_circles(circles: Sequence[Mapping[str, Any]], values: Sequence[Mapping[
     figure = new_figure(5.2 * columns, 5.6 * rows, say("picture.circles"))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, setup in zip(panels, setups, strict=False):
-        mine = [circle for circle in circles if circle["setup"] == setup]
-        _draw(panel, mine, largest)
+        _draw(panel, [circle for circle in circles if circle["setup"] == setup], largest)
         known = [one for one in values if one["setup"] == setup and one["name"] in _SHOWN]
         text = together((f"{one['name']} = {as_exact(one['value'], 'm', one['U'])}" for one in known), "   ")
         panel.set_title(together((setup, text), "\n"), fontsize="small")

@@ -47,8 +47,7 @@ def draw_motions(tables: Mapping[str, Array], squareness: Mapping[str, tuple[flo
     axes = [axis for axis in "XYZABC" if any(name[2] == axis for name in tables)]
     kinds = sorted(set(map(_kind, tables)))
     figure = style.new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(squareness))
-    panels = figure.subplots(len(axes), len(kinds), squeeze=False)
-    for row, axis in zip(panels, axes, strict=True):
+    for row, axis in zip(figure.subplots(len(axes), len(kinds), squeeze=False), axes, strict=True):
         for panel, kind in zip(row, kinds, strict=True):
             _panel(panel, axis, {n: t for n, t in tables.items() if n[2] == axis and _kind(n) == kind})
     return figure

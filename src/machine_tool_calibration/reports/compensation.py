@@ -31,8 +31,7 @@ def harm_words(found: Exported) -> str:
     names = {one: one.name if one is found.left[-1] else one.name.upper() for one in found.left if one.larger}
     larger = [_grown(name, one.largest_now, one.largest_left) for one, name in names.items()]
     told = [(key, of) for key, of in (("worse", grown), ("larger", larger)) if of]
-    said = [say(f"compensation.{key}", n=len(of), names=together(of, ", ")) for key, of in told]
-    return together(said, "; ")
+    return together([say(f"compensation.{key}", n=len(of), names=together(of, ", ")) for key, of in told], "; ")
 
 
 def _grown(name: str, before: float, after: float) -> Said:

@@ -196,12 +196,11 @@ _TIDY = ("error", "position", "position_unit", "x", "y", "z", "value", "u", "U",
 def tidy(result: Result | JointResult) -> pd.DataFrame:
     """All that was found of the machine and the part in one table, one value a row.
 
-    Returns:
-        `error`: an error motion or squareness (EXX, C0Y, …) at `position` on its axis in `position_unit`, or the
-        position error `ex`, `ey`, `ez` at the place `x y z` (m), or `workpiece_error` of a probed `point` along its
-        normal, or a figure of ISO 230 (`A_X`, `E_D_PPP`, `EXC_range`; of several runs with its `setup`); further
-        columns as `error_map` has them. `value`, standard uncertainty `u` and expanded uncertainty `U` (k = 2) in
-        `unit`; `determined`: where False, they are NaN.
+    `error` is an error motion or squareness (EXX, C0Y, …) at `position` on its axis in `position_unit`, or the position
+    error `ex`, `ey`, `ez` at the place `x y z` (m), or `workpiece_error` of a probed `point` along its normal, or a
+    figure of ISO 230 (`A_X`, `E_D_PPP`, `EXC_range`; of several runs with its `setup`); further columns as `error_map`
+    has them. `value`, standard uncertainty `u` and expanded uncertainty `U` (k = 2) in `unit`; `determined`: where
+    False, they are NaN.
     """
     places = error_map(result)
     own = [name for name in map(str, places) if name in ("axis", "target", "approach", "row", "a", "b", "c")]

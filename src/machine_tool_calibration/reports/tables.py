@@ -131,8 +131,7 @@ def show_table(screen: Console, table: TextTable) -> None:
         shown = Table(box=None, show_header=any(table.columns), header_style="bold", pad_edge=False)
         for k, width in _widths(table, columns, screen.width).items():
             right = k in numeric
-            head = Text(table.columns[k])
-            shown.add_column(head, overflow="fold", width=width, justify="right" if right else "left")
+            shown.add_column(Text(table.columns[k]), overflow="fold", width=width, justify="right" if right else "left")
         for row in table.rows:
             shown.add_row(*(Text(row[k]) for k in columns))
         screen.print(shown)

@@ -336,10 +336,9 @@ class _Search:
         return out
 
     def _agreed(self, asked: IntArray, held: IntArray, fit: _Fit) -> tuple[IntArray, dict[int, IntArray]]:
-        """The same with all sets compared where readings only tell of each other.
+        """Gross errors, all sets compared where readings only tell of each other.
 
-        Returns:
-            Gross errors; and for each that may as well be sound, all of which that is true.
+        For each that may as well be sound, also all of which that is true.
         """
         alike: dict[int, IntArray] = {}
         # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.

@@ -79,8 +79,7 @@ class Collector:
         if "setup" not in labels:
             raise SessionError(f"{self._place.readings}: the column 'setup_index' is missing")
         require_columns(self.description, [*numbers, *labels], self._place.readings)
-        readings = assemble(self.description, numbers, labels, self._place)
-        session = Session(self.description, readings, source)
+        session = Session(self.description, assemble(self.description, numbers, labels, self._place), source)
         if check:
             check_session(session, self._place)
         return session

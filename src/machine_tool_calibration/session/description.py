@@ -323,12 +323,11 @@ class Direct(Description):
 
     @model_validator(mode="after")
     def _check_terms(self) -> Direct:
-        linear = self.machine.kinematics.linear
         for k, name in enumerate(self.terms):
             if name in self.terms[:k]:
                 raise ValueError(f"terms names {name!r} twice")
             for axis in SQUARENESS.get(name) or parse_motion(name).axis:
-                if axis not in linear:
+                if axis not in self.machine.kinematics.linear:
                     raise ValueError(f"terms names {name!r}, but the chain has no linear axis {axis}")
         return self
 
@@ -356,10 +355,9 @@ class BallBar(Description):
 
     @model_validator(mode="after")
     def _check_axes(self) -> BallBar:
-        linear = self.machine.kinematics.linear
         for setup in self.setups:
             for axis in setup.plane:
-                if axis not in linear:
+                if axis not in self.machine.kinematics.linear:
                     raise ValueError(
                         f"setup {setup.id} is in {setup.plane}, and the chain {self.machine.chain} has no axis {axis}"
                     )

@@ -125,8 +125,7 @@ def _meant(location: tuple[Any, ...], whole: type[BaseModel] | None) -> str:
         field = getattr(record, "model_fields", {}).get(part)
         if field is not None:  # else a place in a list, or a name of the user's own
             record = _record_in(field.annotation)
-    names = list(getattr(record, "model_fields", {}))
-    return did_you_mean(str(location[-1]), names)
+    return did_you_mean(str(location[-1]), list(getattr(record, "model_fields", {})))
 
 
 def _record_in(annotation: Any) -> Any:

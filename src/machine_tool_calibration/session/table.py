@@ -262,8 +262,7 @@ def _check_rows(layout: Layout, count: int) -> None:
 
 
 def _plain(column: Iterable[str]) -> list[str]:
-    texts = [field.strip() for field in column]
-    return ["" if text in _MISSING else text for text in texts]
+    return ["" if text in _MISSING else text for text in map(str.strip, column)]
 
 
 def _numeric(layout: Layout, name: str, column: list[str] | Array) -> Array | None:

@@ -131,8 +131,7 @@ class ComparePage:
             return
         self._plane.param.update(options=self._readings.planes, value=self._readings.planes[0])
         for k, field in enumerate(self._against):
-            chosen = self._readings.ranked[min(k, len(self._readings.ranked) - 1)]
-            field.param.update(options=options, value=chosen)
+            field.param.update(options=options, value=self._readings.ranked[min(k, len(self._readings.ranked) - 1)])
 
     def _draw_against(self, k: int, name: str) -> None:
         if name in self._readings.labels:

@@ -248,5 +248,4 @@ def planned(
     """
     found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
     now = None if model is None else current(subject.measurement.sessions[0], model.fit.result.error_map)
-    words = f"procedure {procedure.name}, by itself"
-    return now, outlook_of(found, words), printed(forecast_parts(found))
+    return now, outlook_of(found, f"procedure {procedure.name}, by itself"), printed(forecast_parts(found))

@@ -38,8 +38,7 @@ class MeasurementPage:
             plot = self._plots[view] = look.new_figure(f"Seen in {view}", *axes, hover=look.HOVER, match_aspect=True)
             plot.scatter(*view, source=source, size=4, color="color", alpha=0.7, **look.DIM)
             look.draw_stations(plot, self._stations, *view)
-        below = look.beside(*self._plots.values(), self._setups, self._more)
-        self.view = look.column(self._words, below)
+        self.view = look.column(self._words, look.beside(*self._plots.values(), self._setups, self._more))
 
     def refresh(self) -> None:
         """Show the measurement."""

@@ -131,13 +131,11 @@ class State:
     @property
     def own(self) -> dict[str, PhysicalEffect]:
         """The user's own effects, by id."""
-        known = self._given if self._subject is None else self._subject.own
-        return {effect.id: effect for effect in known}
+        return {effect.id: effect for effect in (self._given if self._subject is None else self._subject.own)}
 
     def know(self, effect: PhysicalEffect) -> None:
         """Take up an effect of the user's own, in the place of one of that name."""
-        own = self.own | {effect.id: effect}
-        self._subject = replace(self.subject, own=tuple(own.values()))
+        self._subject = replace(self.subject, own=tuple((self.own | {effect.id: effect}).values()))
 
     def opened(self, *paths: Path) -> Job:
         """Read a measurement, or several of one machine, and fit its models."""
@@ -210,8 +208,7 @@ class State:
         """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does."""
         if self.diagnosis is None:
             raise CalibrationError("there is no diagnosis of this model yet: make one first")
-        work = partial(improved, self.subject, self.model, self.diagnosis)
-        return Job(work, lambda models: self.use(*models))
+        return Job(partial(improved, self.subject, self.model, self.diagnosis), lambda models: self.use(*models))
 
     def undo(self) -> None:
         """Go back to the model that the one in use was made from."""
@@ -235,9 +232,8 @@ class State:
         """Have them in the history, which may have been moved away, with their numbers there, and the last in use."""
         entries = self.entries()
         self._keep(lambda old: old.grown(entries))
-        kept = self.history.models
         self.models = [
-            replace(one, number=next(old.number for old in kept if old.same_model(entry)))
+            replace(one, number=next(old.number for old in self.history.models if old.same_model(entry)))
             for one, entry in zip(self.models, entries, strict=True)
         ]
 

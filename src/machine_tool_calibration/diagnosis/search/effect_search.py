@@ -224,11 +224,10 @@ def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: 
     prior[columns.seen] = priors.STRUCTURE
     often = np.array([priors.SELDOM ** -float(columns.candidates[k].is_seldom) for k in effects])
     prior[effects] = often * min(priors.EFFECT, 1.0 / max(often.sum(), 1.0))
-    log_odds = logit(prior)
     return search(
         columns.gram.with_memory(memory),
         columns.blocks,
-        log_odds,
+        logit(prior),
         side_by_side=side_by_side,
         pairs_among=effects,
         exclusive=exclusive(columns),
@@ -300,8 +299,7 @@ def _accepted(
         own = tuple(places[j - len(present)] for j in members if j >= len(present))
         return float(plain.squares) - (float(np.sum(fitted_in(plain, np.r_[own])[1] ** 2)) if own else 0.0)
 
-    kept = without_laws(effects, columns.pool, signals, squares_left)
-    return tuple(name for name in kept if name in columns.place)
+    return tuple(name for name in without_laws(effects, columns.pool, signals, squares_left) if name in columns.place)
 
 
 def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
