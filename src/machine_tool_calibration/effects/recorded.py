@@ -63,8 +63,7 @@ class Follows(ThermalExpansion):
         """A shift, and a scale where the axis moves; as large as a frame's growth over what was recorded."""
         over = LARGEST_GROWTH / max(float(np.ptp(observations.readings.column(self.column))), 1e-12)
         per_unit = "/K" if self.column.startswith(_TEMPERATURE) else ""
-        meaning = say("coefficient.follows", column=self.column)
-        shift = Coefficient("q", f"m{per_unit}", -over, over, meaning)
+        shift = Coefficient("q", f"m{per_unit}", -over, over, say("coefficient.follows", column=self.column))
         if stands_still(observations, self.axis):
             return (replace(shift, name="s"),)
         extent = float(np.ptp(observations.readings.column(self.axis)))

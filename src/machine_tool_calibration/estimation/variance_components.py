@@ -43,8 +43,7 @@ class Components:
         zero = float(self.weights[size == 0].sum())
         logs, share = np.log(size[size > 0]), self.weights[size > 0]
         # What a size that was tried stands for is spread evenly in the logarithm, to half way to its neighbours.
-        columns = np.array(self.ratios).T
-        steps = np.concatenate([np.diff(np.log(np.unique(column[column > 0]))) for column in columns])
+        steps = np.concatenate([np.diff(np.log(np.unique(own[own > 0]))) for own in np.array(self.ratios).T])
         half = 0.5 * float(steps.min(initial=_STEP))
         at = np.unique(np.concatenate([logs - half, logs + half]))
         below = zero + np.clip((at[:, None] - logs + half) / (2.0 * half), 0.0, 1.0) @ share

@@ -40,10 +40,9 @@ def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequen
 
 def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Figure]:
     """The same pictures by name, not written."""
-    names = list(against) or chosen_covariates(comparison)
     return {
         "measured_predicted": _draw_fit(comparison),
-        "residuals": draw_against(comparison, names),
+        "residuals": draw_against(comparison, list(against) or chosen_covariates(comparison)),
         "residual_map": draw_map(comparison),
         "setups": draw_setups(comparison),
     }

@@ -15,8 +15,7 @@ from machine_tool_calibration.words import say
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name, the first one first to be looked at."""
-    description = session.description.as_a(RotaryAxis)
-    axis = description.machine.table_axis
+    axis = session.description.as_a(RotaryAxis).machine.table_axis
     content = result["error_map"]
     return {"error_motions": draw_motions(content, axis), "arrangement": _draw_arrangement(content, axis)}
 

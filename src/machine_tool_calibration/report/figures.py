@@ -202,8 +202,7 @@ def _draw_motion(name: str, rows: pd.DataFrame) -> Figure:
 
 def residual_pictures(found: Evaluation) -> Iterator[Picture]:
     """Residuals by setup, as arrows, and over what they follow most."""
-    labels = found.measured.chosen.labels or ("",)
-    for label, comparison in zip(labels, found.comparisons, strict=True):
+    for label, comparison in zip(found.measured.chosen.labels or ("",), found.comparisons, strict=True):
         drawn = {"setups": draw_setups(comparison), "residual_map": draw_map(comparison)}
         if drawn["residual_map"].get_figwidth() <= _SQUARE:  # then both stand side by side
             drawn["setups"].set_size_inches(*drawn["residual_map"].get_size_inches())

@@ -293,8 +293,7 @@ def _rejected(found: Evaluation) -> Iterator[str | TextTable]:
 
 def _provenance(found: Evaluation) -> Iterator[TextTable]:
     origin = found.result.provenance
-    evaluated = origin.evaluated.replace("T", " ")
-    rows: list[tuple[str, str]] = [(say("report.evaluated"), evaluated)]
+    rows: list[tuple[str, str]] = [(say("report.evaluated"), origin.evaluated.replace("T", " "))]
     rows += [(say("about.software"), Verbatim(origin.software))]
     rows.append((say("head.model"), _model(origin.model, origin.effects)))
     for one in origin.sessions:

@@ -55,8 +55,7 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
 def as_exact(value: float, unit: str, expanded: float | None) -> str:
     """A value with its unit (SI) and as many digits as leave its expanded uncertainty two; three without one."""
     factor, shown = _scale(unit, abs(value))
-    after = f" {shown}" if shown else ""
-    return f"{in_digits_of(factor * (expanded or 0.0), factor * value)}{after}"
+    return f"{in_digits_of(factor * (expanded or 0.0), factor * value)}{f' {shown}' if shown else ''}"
 
 
 def expanded_text(expanded: float, unit: str = "m") -> str:
@@ -89,12 +88,12 @@ def micrometres(metres: float | None, *, signed: bool = False) -> str:
     return f"{'+' if signed and metres > 0 else ''}{rounded(1e6 * metres)}"
 
 
-def millimetres(metres: float, places: int = 6) -> str:
+def millimetres(metres: float) -> str:
     """A long distance in millimetres down to the nanometre, in groups of three digits; a dash if it is not known."""
     if not math.isfinite(metres):
         return NOT_DETERMINED
-    whole, rest = f"{1e3 * metres:,.{places}f}".split(".")
-    return f"{whole}.{','.join(rest[k : k + 3] for k in range(0, places, 3))}".replace(",", "\u202f")
+    whole, rest = f"{1e3 * metres:,.6f}".split(".")
+    return f"{whole}.{rest[:3]},{rest[3:]}".replace(",", "\u202f")
 
 
 def probability(value: float | None) -> str:

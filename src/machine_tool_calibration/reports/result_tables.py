@@ -215,8 +215,7 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
     frames.append(_standards(result))
     whole = pd.concat([frame for frame in frames if len(frame)], ignore_index=True)
     whole["U"] = K * whole["u"]
-    more = [name for name in whole if name not in _TIDY]
-    return whole.reindex(columns=[_TIDY[0], *more, *_TIDY[1:]])
+    return whole.reindex(columns=[_TIDY[0], *(name for name in whole if name not in _TIDY), *_TIDY[1:]])
 
 
 def in_shop_units(table: pd.DataFrame) -> pd.DataFrame:

@@ -133,8 +133,7 @@ def trend_words(found: Trend) -> Iterator[str]:
     if shifted:
         most, said = max(shifted, key=lambda pair: abs(pair[1].step) / pair[1].u_step)
         names, size = enumeration([one.name for one, _ in shifted]), quantity(said.step, most.unit, said.u_step)
-        instrument = most.ways[most.way[-1]]
-        yield say("trend.says_instrument", names=names, name=most.name, instrument=instrument, size=size)
+        yield say("trend.says_instrument", names=names, name=most.name, instrument=most.ways[most.way[-1]], size=size)
     told = sum(one.kind != "few" for one in found.courses)
     if not found.alarms:
         yield say("trend.quiet", n=told) if told else say("trend.untold")

@@ -123,8 +123,7 @@ def left_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _verdict(diagnosis: Diagnosis) -> Said:
     look, declared = diagnosis.search, quantity(diagnosis.noise.declared, "m")
-    found = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
-    residual = say("diagnosis.residual", found=found, declared=declared)
+    residual = say("diagnosis.residual", found=quantity(rms(Pool(diagnosis.fits[0]).residuals), "m"), declared=declared)
     if diagnosis.verdict == "missing_effect":
         names = [_with_doubt(_title(diagnosis, name), look.of(name).probability) for name in diagnosis.accepted]
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
@@ -311,8 +310,7 @@ def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
     if left := diagnosis.search.structure:
-        best = left[0]
-        yield say("diagnosis.depend", **_dependence(best))
+        yield say("diagnosis.depend", **_dependence(left[0]))
     if diagnosis.contradicted:
         fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
         ratio = rounded(np.sqrt(fit.reduced_chi_square))
@@ -371,8 +369,7 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
         # What places differ by without a pattern is none.
         patterns = [structure for structure in diagnosis.left if structure.covariate not in _OF_PLACES]
-        probabilities = [alike_beside_p(own) for own in fit.fits]
-        alike = any(p is not None and p < priors.STRUCTURE_P for p in probabilities)
+        alike = any(p is not None and p < priors.STRUCTURE_P for p in map(alike_beside_p, fit.fits))
         if alike or not patterns:
             moves = any(own.model.observations.moves for own in fit.fits)
             by_place = "places_alike" if alike else "places_differ"

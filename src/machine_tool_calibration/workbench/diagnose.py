@@ -82,8 +82,7 @@ class DiagnosePage:
             legend_label="pattern", nonselection_alpha=0.15,
         )  # fmt: skip
         look.legend_above(self._over)
-        title = "Do the residuals follow it? (line: slope 1)"
-        self._added = new(title, "pattern, µm", "residual, µm", hover=_HOVER)
+        self._added = new("Do the residuals follow it? (line: slope 1)", "pattern, µm", "residual, µm", hover=_HOVER)
         self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **look.DIM)
         self._added.line("x", "y", source=self._line, color="#555555")
         look.zero_line(self._over)

@@ -67,8 +67,7 @@ class ExportPage:
 
     def refresh(self) -> None:
         """Another model is in use: what is left of its errors is not known."""
-        names = "+".join(path.absolute().name for path in self._state.paths)
-        self._saved.folder.value = f"mtcal_output/export_{names}"
+        self._saved.folder.value = "mtcal_output/export_" + "+".join(path.absolute().name for path in self._state.paths)
         self._forget()
 
     def _forget(self) -> None:

@@ -228,8 +228,7 @@ class LivePage:
     def _columns(self, rows: Sequence[tuple[int, float]], first: int, total: int) -> dict[str, list[Any]]:
         """Those of the readings from the first on that are drawn."""
         numbers = self._thinned.of(first, total)
-        some = [rows[number - first] for number in numbers]
-        return self._drawn(numbers, some, self._factor, _displacement)
+        return self._drawn(numbers, [rows[number - first] for number in numbers], self._factor, _displacement)
 
     def _drawn(
         self, numbers: list[Any], some: Sequence[tuple[int, float]], factor: float, shown: Callable[[float], str]

@@ -172,8 +172,7 @@ def _detectable(
 ) -> dict[str, float]:
     """By coefficient, in its unit."""
     limits = np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in shaped.coefficients])
-    strength = inner * np.outer(limits, limits)
-    values = np.maximum(np.linalg.eigvalsh(strength), 0.0)
+    values = np.maximum(np.linalg.eigvalsh(inner * np.outer(limits, limits)), 0.0)
     needed = float(np.log(priors.ACCEPTED / (1.0 - priors.ACCEPTED))) - log_odds + float(np.log(candidate.count))
     norm = np.sqrt(np.where(_outside(inner), np.diag(inner), 0.0))
     return {
@@ -244,8 +243,7 @@ def without_laws(
     """
 
     def of_law(k: int, j: int, most: float) -> bool:
-        same = effects[k].reverses == effects[j].reverses
-        return same and _of_law(pool, signals[k], signals[j], most)
+        return effects[k].reverses == effects[j].reverses and _of_law(pool, signals[k], signals[j], most)
 
     def slow(k: int, j: int) -> bool:
         """Whether one that goes with the time is the slow part of one that decays."""

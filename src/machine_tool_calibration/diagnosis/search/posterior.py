@@ -98,8 +98,7 @@ class Posterior:
         rest = frozenset(self.best) - {candidate}
         if candidate not in self.best or rest not in self.log_weights:
             return float(self.single.log_factors[candidate])
-        gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
-        return gained - float(self.log_odds[candidate])
+        return self.log_weights[frozenset(self.best)] - self.log_weights[rest] - float(self.log_odds[candidate])
 
     def p_value(self, candidate: int, log_factor: float) -> float:
         """Largest probability that any candidate, each with its prior, does so well if nothing is missing.
