@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, means_of
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
@@ -49,8 +49,7 @@ class Vibration(AxisEffect):
         """Sine and cosine of the time, along the axis, run by run."""
         run, along, clock = _runs(observations), self.along(observations), observations.clock
         # From the middle of each run, so that the frequency and the phases are told apart.
-        middle = np.bincount(run, clock) / np.bincount(run)
-        angle = 2.0 * np.pi * shape[0] * (clock - middle[run])
+        angle = 2.0 * np.pi * shape[0] * (clock - means_of(run, clock))
         each = [np.where(run == k, wave(angle) * along, 0.0) for k in range(run.max() + 1) for wave in (np.sin, np.cos)]
         return np.array(each)
 

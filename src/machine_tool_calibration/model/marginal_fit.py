@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, root_of
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rms, root_of
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, left_at, noise_variance
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
@@ -433,7 +433,7 @@ def _sizes(
 ) -> tuple[FamilySize, ...]:
     """Sizes in metres, of that part of the functions which the model does not absorb."""
     sigma = np.concatenate([model.sigma for model in solved.assembly.models])
-    unit = found.noise * float(np.sqrt(np.mean(sigma**2)))
+    unit = found.noise * rms(sigma)
     out = []
     mean_square = np.bincount(place, seen, len(names)) / len(sigma)
     # What is read off the session as a whole says nothing of how its runs differ.

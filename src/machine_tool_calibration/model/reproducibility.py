@@ -17,6 +17,7 @@ from machine_tool_calibration.arrays import (
     IntArray,
     groups,
     in_order_of_appearance,
+    means_of,
     occurrence,
     within,
 )
@@ -175,14 +176,12 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         stride = -(-len(place) // _ENOUGH)
         some = np.flatnonzero(place % stride == 0)
         mine = groups(place[some])
-        count = np.bincount(mine)
-        free = int(np.sum(count - 1))
+        free = len(some) - int(mine.max(initial=-1)) - 1
         dof += free
         lost += len(place) - int(place.max(initial=-1)) - 1 - free
         families = [family.columns()[:, some] for family in with_drift(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
-        mean = np.array([np.bincount(mine, values) / count for values in both])
-        both -= mean[:, mine]
+        both -= np.array([means_of(mine, values) for values in both])
         columns.append(both[:-1])
         left.append(both[-1])
     if dof < priors.ENOUGH_REPEATS:
@@ -269,7 +268,7 @@ def _tell(place: IntArray, run: IntArray) -> bool:
 def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
     """Offsets of whole rows and columns of a grid, along and across them."""
     for j in moved:
-        row = np.unique(np.round(observations.position[:, j] / SAME_POSITION), return_inverse=True)[1].reshape(-1)
+        row = groups(np.round(observations.position[:, j] / SAME_POSITION))
         count = np.bincount(row)
         if priors.SEVERAL_RUNS <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
             yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy(), offset=False)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups, rms, unsigned
+from machine_tool_calibration.arrays import Array, groups, means_of, rms, unsigned
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
@@ -146,12 +146,10 @@ def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
     """
     old = before.error
     if not np.array_equal(before.points, after.points):
-        places, number = np.unique(np.round(before.points * 1e9), axis=0, return_inverse=True)
-        count = np.bincount(number.reshape(-1))
-        mean = np.stack([np.bincount(number.reshape(-1), e) for e in before.error.T], axis=1) / count[:, None]
-        at = {tuple(place): value for place, value in zip(places.tolist(), mean, strict=True)}
-        nothing = np.full(3, np.nan)
-        old = np.array([at.get(tuple(p), nothing) for p in np.round(after.points * 1e9).tolist()]).reshape(-1, 3)
+        places, wanted = (np.round(one.points * 1e9) for one in (before, after))
+        mean = np.column_stack([means_of(groups(*places.T), error) for error in before.error.T])
+        at = dict(zip(map(tuple, places.tolist()), mean, strict=True))
+        old = np.array([at.get(tuple(p), np.full(3, np.nan)) for p in wanted.tolist()]).reshape(-1, 3)
     return map_rms(after.error - old)
 
 

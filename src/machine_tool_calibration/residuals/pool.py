@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups, means_of
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.estimation.serial_correlation import Memory, memory_of
@@ -171,12 +171,8 @@ class Pool:
 
     def within_runs(self, columns: Array) -> Array:
         """(k,) squared norms of columns over the declared uncertainty, without the mean of each run."""
-        scaled = columns / self.sigma
-        count = np.maximum(np.bincount(self.run), 1)
-        out = np.empty(len(scaled))
-        for k, column in enumerate(scaled):
-            out[k] = np.sum((column - (np.bincount(self.run, column) / count)[self.run]) ** 2)
-        return out
+        run, scaled = groups(self.run), columns / self.sigma
+        return np.array([np.sum((column - means_of(run, column)) ** 2) for column in scaled])
 
 
 def _shown(columns: Array, sigma: Array) -> Array:

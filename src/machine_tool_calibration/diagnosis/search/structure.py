@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 import numpy.typing as npt
 
-from machine_tool_calibration.arrays import Array, IntArray, occurrence, peaks, within
+from machine_tool_calibration.arrays import Array, IntArray, groups, means_of, occurrence, peaks, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
@@ -391,16 +391,14 @@ def _covariates(observations: Observations) -> dict[str, Array]:
         out["path within the setup"] = within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
             # As the places say it, so that the noise of a reading does not explain itself.
-            run = observations.run
-            off = np.bincount(run, observations.readings.displacement - observations.path)
-            out["displacement"] = observations.path + (off / np.maximum(np.bincount(run), 1))[run]
+            off = observations.readings.displacement - observations.path
+            out["displacement"] = observations.path + means_of(groups(observations.run), off)
     return out
 
 
 def _same_turns(place: IntArray, turn: Array) -> bool:
     """Whether most places are read again, always at about the same turn of a run: what comes with it is the place's."""
-    count = np.bincount(place)
-    off = (turn - (np.bincount(place, turn) / np.maximum(count, 1))[place])[count[place] > 1]
+    off = (turn - means_of(place, turn))[np.bincount(place)[place] > 1]
     return 2 * len(off) > len(turn) and float(np.mean(off**2)) < _ALWAYS * float(np.var(turn))
 
 
