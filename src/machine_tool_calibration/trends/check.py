@@ -15,7 +15,7 @@ called changed has at most the chance `LEVEL`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import special
@@ -30,6 +30,7 @@ from machine_tool_calibration.trends.statement import Part, Statement
 
 SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
+_JUMP = 3.0  # changes that are so many times the median one are counted as that
 _MEDIAN = 0.4549  # median of the square of a standard normal number
 _SAME_POSITION = 1e-9  # positions that are one, m or rad
 
@@ -105,8 +106,8 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
             "could be brought to its datum: give its session, or the machine's logbook"
         )
     between = between_sessions(history)
-    found = [_part(earlier, now, name, between.get(name, 0.0)) for name in earlier.parts if name in now.parts]
-    changes = [one for one in (*found, _position(earlier, now, between.get(POSITION_ERROR, 0.0))) if one is not None]
+    found = [_part(earlier, now, name, between.get(name, _NONE)) for name in earlier.parts if name in now.parts]
+    changes = [one for one in (*found, _position(earlier, now, between.get(POSITION_ERROR, _NONE))) if one is not None]
     if not changes:
         raise CalibrationError(f"{earlier.label} and {now.label} have no error in common that both determine")
     order = np.argsort([one.p_value for one in changes], kind="stable")
@@ -126,11 +127,24 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
     )
 
 
-def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
-    """Standard deviation between sessions of each error by name, beyond what the sessions' own uncertainty explains.
+@dataclass(frozen=True)
+class Spread:
+    """What sessions of one machine differ by, in the unit of an error."""
+
+    size: float = 0.0  # standard deviation of one session, beyond what the sessions' own uncertainty explains
+    # (d, v) all values of the error, in courses that together have the covariance of a change between two sessions:
+    # a slope or a bow that changes from one to the next is no scatter of values that are independent
+    courses: Array = field(default_factory=lambda: np.zeros((0, 1)))
+
+
+_NONE = Spread()
+
+
+def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
+    """What sessions differ by, by the error's name; nothing where there are fewer than `SESSIONS`.
 
     By the median of the squared changes from one session to the next, over all values of an error: a jump between two
-    of them does not make it larger. Nothing where there are fewer than `SESSIONS`.
+    of them does not make it larger.
     """
     if len(history) < SESSIONS:
         return {}
@@ -144,15 +158,19 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
         if len({len(value) for value, _ in pairs}) > 1:
             continue
         value, u = (np.array(each) for each in zip(*pairs, strict=True))
-        squares, expected = np.diff(value, axis=0) ** 2, u[1:] ** 2 + u[:-1] ** 2
-        known = np.isfinite(squares) & np.isfinite(expected) & (expected > 0)
+        changes, expected = np.diff(value, axis=0), u[1:] ** 2 + u[:-1] ** 2
+        known = np.isfinite(changes) & np.isfinite(expected) & (expected > 0)
         if known.any():
-            more = np.median(squares[known]) / _MEDIAN - np.median(expected[known])
-            out[name] = float(np.sqrt(max(more, 0.0) / 2.0))
+            typical = float(np.median(changes[known] ** 2)) / _MEDIAN
+            more = max(typical - float(np.median(expected[known])), 0.0)
+            courses = np.where(known, changes, 0.0) * np.sqrt(more / max(typical, np.finfo(float).tiny))
+            own = np.array([rms(course) for course in courses])
+            courses /= np.maximum(own / max(_JUMP * float(np.median(own)), np.finfo(float).tiny), 1.0)[:, None]
+            out[name] = Spread(float(np.sqrt(more / 2.0)), courses / np.sqrt(len(courses)))
     return out
 
 
-def _part(earlier: Statement, now: Statement, name: str, between: float) -> Change | None:
+def _part(earlier: Statement, now: Statement, name: str, between: Spread) -> Change | None:
     """The change of an error motion or of a single number; None where they have nothing in common."""
     one, two = earlier.parts[name], now.parts[name]
     if (one.at is None) != (two.at is None) or not len(at := _reached(one, two)):
@@ -163,21 +181,31 @@ def _part(earlier: Statement, now: Statement, name: str, between: float) -> Chan
     if not good.any():
         return None
     first, second = first[good], second[good]
-    spread = (2.0 * between**2 + line + line_now)[good]
+    spread, courses = (2.0 * between.size**2 + line + line_now)[good], _courses(between, one, at)[:, good]
     if one.at is not None and good.sum() > 1 and drawn is not None and drawn_now is not None:
         base, _ = np.linalg.qr(Part(name, one.unit, one.members, at[good]).datum)
         first, second = (value - base @ (base.T @ value) for value in (first, second))
         draws = len(drawn)
         rows = (drawn - drawn_now)[:, good] / np.sqrt(draws)
-        rows = np.concatenate([rows, np.diag(np.sqrt(spread))[spread > 0]])
+        rows = np.concatenate([rows, np.diag(np.sqrt(spread))[spread > 0], courses])
         rows = rows - (rows @ base) @ base.T
         u = np.sqrt(np.einsum("kq,kq->q", rows, rows))
         p = joint_p_value(second - first, rows, draws)
     else:
-        u, p = np.sqrt(u_first[good] ** 2 + u_second[good] ** 2 + spread), None
+        u, p = np.sqrt(u_first[good] ** 2 + u_second[good] ** 2 + spread + np.sum(courses**2, axis=0)), None
     size = (float(first[0]), float(second[0])) if one.at is None else (float(np.ptp(first)), float(np.ptp(second)))
     places = ((),) * len(u) if one.at is None else tuple((place,) for place in at[good].tolist())
-    return _change(name, one.unit, size, second - first, u, places, between, p)
+    return _change(name, one.unit, size, second - first, u, places, between.size, p)
+
+
+def _courses(between: Spread, part: Part, at: Array) -> Array:
+    """(d, q) what sessions differ by at positions (q,), by straight lines between those of the part."""
+    if between.courses.shape[1] != len(part.members):
+        return np.zeros((0, len(at)))
+    if part.at is None:
+        return between.courses
+    order = np.argsort(part.at)
+    return np.asarray(between.courses[:, order] @ interpolation(part.at[order], at))
 
 
 def _reached(one: Part, two: Part) -> Array:
@@ -215,7 +243,7 @@ def _values(own: Statement, part: Part, at: Array) -> tuple[Array, Array, Array 
     return value, u, deviations, variance
 
 
-def _position(earlier: Statement, now: Statement, between: float) -> Change | None:
+def _position(earlier: Statement, now: Statement, between: Spread) -> Change | None:
     """The change of the position errors as a whole, at the points that both have."""
     if not (len(earlier.points) and len(now.points)):
         return None
@@ -224,7 +252,9 @@ def _position(earlier: Statement, now: Statement, between: float) -> Change | No
     (first, u_first), (second, u_second) = ([a[pair] for a in own.position_error] for own, pair in both)
     if not np.isfinite(first + second).any():
         return None
-    points = earlier.points[pairs[0], :3]
+    points, courses = earlier.points[pairs[0], :3], np.zeros((0, len(pairs[0]), 3))
+    if between.courses.shape[1] == 3 * len(earlier.points):
+        courses = between.courses.reshape(-1, len(earlier.points), 3)[:, pairs[0]]
     if earlier.samples is not None and now.samples is not None:
         draws, n = len(earlier.samples), len(points)
         members = [own.numbers.quantity(POSITION_ERROR).members for own in (earlier, now)]
@@ -233,20 +263,21 @@ def _position(earlier: Statement, now: Statement, between: float) -> Change | No
             for (own, pair), m in zip(both, members, strict=True)
             if own.samples is not None
         ]
-        if between:
-            more = np.sqrt(2.0) * between * np.eye(3 * n).reshape(-1, n, 3)
+        if between.size:
+            more = np.sqrt(2.0) * between.size * np.eye(3 * n).reshape(-1, n, 3)
+            more = np.concatenate([more, courses])
             roots = [np.concatenate([roots[0], more]), np.concatenate([roots[1], 0.0 * more])]
         absolute = earlier.absolute and now.absolute
         found = compare_maps(points, first, second, (roots[0], roots[1]), draws, absolute=absolute)
         first, second, u, p = found.first, found.second, found.u, found.p_value
     else:
-        u, p = np.sqrt(u_first**2 + u_second**2 + 2.0 * between**2), None
+        u, p = np.sqrt(u_first**2 + u_second**2 + 2.0 * between.size**2 + np.sum(courses**2, axis=0)), None
     k, j = np.nonzero(np.isfinite(first + second) & (u > 0))
     if not len(k):
         return None
     size = (rms(first[k, j]), rms(second[k, j]))
     places = tuple(map(tuple, points[k].tolist()))
-    return _change(POSITION_ERROR, "m", size, (second - first)[k, j], u[k, j], places, between, p, j)
+    return _change(POSITION_ERROR, "m", size, (second - first)[k, j], u[k, j], places, between.size, p, j)
 
 
 def _change(
