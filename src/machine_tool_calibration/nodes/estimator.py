@@ -18,15 +18,7 @@ from std_msgs.msg import String
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import model_names
-from machine_tool_calibration.nodes.calculation import (
-    TOPICS,
-    Outcome,
-    Request,
-    compared,
-    diagnosed,
-    identified,
-    improved,
-)
+from machine_tool_calibration.nodes import calculation
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, StatusTopic, from_message, stamp_now
 from machine_tool_calibration.nodes.ros.node import ManagedNode
@@ -35,10 +27,10 @@ from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.description import Description
 
 _CALCULATIONS = (
-    ("identify", "identifying", identified),
-    ("compare", "comparing", compared),
-    ("diagnose", "diagnosing", diagnosed),
-    ("improve", "improving the model", improved),
+    ("identify", "identifying", calculation.identified),
+    ("compare", "comparing", calculation.compared),
+    ("diagnose", "diagnosing", calculation.diagnosed),
+    ("improve", "improving the model", calculation.improved),
 )
 """Verb, what it does for people, and the calculation."""
 _PERIOD = 0.2  # s between publications of the count of readings
@@ -59,7 +51,7 @@ class Estimator(ManagedNode):
         self._sources = (0, 0)
         self._heard, self._unheard = False, False
         self._found: tuple[str, ...] = ()
-        self._results = {name: self.create_publisher(kind, name, LATCHED) for name, kind in TOPICS.items()}
+        self._results = {name: self.create_publisher(kind, name, LATCHED) for name, kind in calculation.TOPICS.items()}
         self._status = StatusTopic(self, "estimator")
         self.goals = Goals(self, self._show)
         self.create_subscription(String, "session", self._described, LATCHED)
@@ -122,8 +114,8 @@ class Estimator(ManagedNode):
         return words
 
     def _begin(
-        self, doing: str, work: Callable[[Request, Progress], Outcome]
-    ) -> tuple[str, Callable[[Progress], Outcome]]:
+        self, doing: str, work: Callable[[calculation.Request, Progress], calculation.Outcome]
+    ) -> tuple[str, Callable[[Progress], calculation.Outcome]]:
         if not self._text:
             raise CalibrationError("no session has been described yet (topic session)")
         request, missing = self._request(), self._received.missing
@@ -147,9 +139,9 @@ class Estimator(ManagedNode):
         response.message = f"effects in the model: {', '.join(wanted)}" if outcome.successful else outcome.reason
         return response
 
-    def _request(self) -> Request:
+    def _request(self) -> calculation.Request:
         model, effects, files, magnification = self.values("model", "effects", "effects_files", "magnification")
-        return Request(
+        return calculation.Request(
             text=self._text,
             readings=self._received.in_order(),
             model=model or None,
@@ -159,7 +151,7 @@ class Estimator(ManagedNode):
             now=partial(stamp_now, self),
         )
 
-    def _done(self, outcome: Outcome) -> tuple[str, Mapping[str, object]]:
+    def _done(self, outcome: calculation.Outcome) -> tuple[str, Mapping[str, object]]:
         for topic, message in outcome.messages.items():
             self._results[topic].publish(message)
         if outcome.accepted is not None:

@@ -23,15 +23,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, orthonormal_basis, root_of
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
-from machine_tool_calibration.methods.probing import datum
-from machine_tool_calibration.methods.probing.geometry import (
-    Touches,
-    plane_tables,
-    point_means,
-    table_lever,
-    table_nodes,
-    touches,
-)
+from machine_tool_calibration.methods.probing import datum, geometry
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, Term, motion_value
 from machine_tool_calibration.model.observations import Observations
@@ -69,7 +61,7 @@ def _refuse_mistakes(session: Session) -> None:
 class ProbingModel(MethodModel):
     """A workpiece touched at several angles of C."""
 
-    touches: Touches  # where each touch was
+    touches: geometry.Touches  # where each touch was
     tables: tuple[MachineTable, ...]  # error motions of the linear axes, with their nodes
     grid: tuple[Array, Array]  # declared nodes of the tables of X and of Y, m: where the error map is given
     length_known: bool  # whether a measured length fixes the scale
@@ -115,13 +107,13 @@ def _build(session: Session) -> ProbingModel:
     description = session.description.as_a(Probing)
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     position = readings.position()
-    where = touches(description, readings, session.rotation_sign)
+    where = geometry.touches(description, readings, session.rotation_sign)
     observations = Observations(
         session, readings, position, -where.normal, where.normal, np.zeros(len(readings)), readings.setup
     )
-    grids = {axis: table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
+    grids = {axis: geometry.table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
     nodes = {axis: extended for axis, (_, extended) in grids.items()}
-    tables = plane_tables(description.machine.kinematics, nodes, position)
+    tables = geometry.plane_tables(description.machine.kinematics, nodes, position)
     terms = [table.term(observations) for table in tables]
     terms += _axis_c_terms(session, where, readings.setup)
     bare = ProbingModel(
@@ -130,7 +122,7 @@ def _build(session: Session) -> ProbingModel:
     return _with_datum(bare)
 
 
-def _axis_c_terms(session: Session, where: Touches, setup: IntArray) -> list[Term]:
+def _axis_c_terms(session: Session, where: geometry.Touches, setup: IntArray) -> list[Term]:
     index = (setup == np.arange(len(session.setup_ids))[:, None]).astype(float)
     senses = {"EXC": where.normal[:, 0], "EYC": where.normal[:, 1], "ECC": where.lever}
     out = []
@@ -234,7 +226,7 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     """Carry the fit over to the N points; (n,) which one each reading touched."""
     marginal = fit.joint.marginal
     columns = fit.marginal_columns
-    mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
+    mean, total = geometry.point_means(columns, point, fit.model.sigma**-2, n_points)
     touched = total > 0
     half = marginal.scatter * mean @ root_of(fit.marginal_covariance)
     free = np.zeros((len(columns), fit.undetermined.shape[1]))
@@ -275,7 +267,7 @@ def common_motions(description: Probing, length_known: bool) -> Array:
     """(N, t) shift along x and y and turn of the workpiece, and its uniform growth where no length is known."""
     position, normal = nominal_points(description)
     growth = [] if length_known else [np.einsum("nd,nd->n", position, normal)]
-    return np.column_stack([normal, table_lever(position, normal), *growth])
+    return np.column_stack([normal, geometry.table_lever(position, normal), *growth])
 
 
 # Change with an undetermined direction of unit length below which a value does not take part in it.

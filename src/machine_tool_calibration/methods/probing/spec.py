@@ -9,14 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, first_true, groups
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.checks.mistakes import (
-    described,
-    exchanged_axes,
-    explanation,
-    in_degrees,
-    turned_round,
-    with_columns,
-)
+from machine_tool_calibration.session.checks import mistakes
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
     counted,
@@ -97,11 +90,10 @@ class ProbingSpec(MethodSpec):
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements of a probing; a SessionError if the column c and the setups' c are different angles."""
         _check_index_angles(session, place)
-        other_way = turned_round(
-            session, "the workpiece looks as if it turned the other way: check machine.rotation_sign"
-        )
-        exchanges = itertools.chain(exchanged_axes(session, 2), badly_exchanged(session, _off_workpiece, "setup"))
-        yield judged_by_worst(_off_workpiece, itertools.chain([other_way], exchanges))
+        way = "the workpiece looks as if it turned the other way: check machine.rotation_sign"
+        exchanged = badly_exchanged(session, _off_workpiece, "setup")
+        others = itertools.chain([mistakes.turned_round(session, way)], mistakes.exchanged_axes(session, 2), exchanged)
+        yield judged_by_worst(_off_workpiece, others)
         yield judged_by_worst(_off_workpiece, badly_exchanged(session, _off_workpiece, "point"), by="point")
 
     def held(self, session: Session) -> Iterator[Held]:
@@ -201,11 +193,12 @@ def _check_index_angles(session: Session, place: Place) -> None:
     row, setup, c = readings.row[bad], readings.setup[bad], readings.columns["c"][bad]
     radians = tuple(one.model_copy(update={"c": np.radians(c)}) for one, c in zip(setups, declared, strict=True))
     suppositions = (
-        in_degrees(session, "the column c looks", "c"),
-        described(session, "the setups' c look like degrees; angles are in radians", setups=radians),
-        with_columns(session, "the sign is opposite: check rotation_sign", c=-readings.columns["c"]),
+        mistakes.in_degrees(session, "the column c looks", "c"),
+        mistakes.described(session, "the setups' c look like degrees; angles are in radians", setups=radians),
+        mistakes.with_columns(session, "the sign is opposite: check rotation_sign", c=-readings.columns["c"]),
     )
-    what = explanation(session, [Judgement(lambda s: float(off(s).max()), suppositions, _SAME_ANGLE, _SAME_ANGLE)])
+    judgement = Judgement(lambda s: float(off(s).max()), suppositions, _SAME_ANGLE, _SAME_ANGLE)
+    what = mistakes.explanation(session, [judgement])
     near = np.abs(wrapped(c - declared))
     if what is None and near.min() < _SAME_ANGLE:
         what = f"this is the angle of setup {setups[int(near.argmin())].id!r}: are setups exchanged?"

@@ -12,15 +12,9 @@ from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests
+from machine_tool_calibration.methods.step_diagonal import small_angles
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17, is_open
-from machine_tool_calibration.methods.step_diagonal.small_angles import (
-    AngularPosterior,
-    SmallAngles,
-    angular_priors,
-    mean_shape,
-    normal_posterior,
-)
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.result import ErrorMap
@@ -36,7 +30,7 @@ class Spread:
 
     tables: tuple[MachineTable, ...]  # the nine angular error motions
     terms: tuple[Term, ...]  # with unknowns of the session's own
-    posterior: AngularPosterior | None = None  # what the readings say of them; None before the model is settled
+    posterior: small_angles.AngularPosterior | None = None  # what the readings say of them; None before it is settled
 
     @property
     def size(self) -> float:
@@ -96,9 +90,9 @@ class StepDiagonalModel(MethodModel):
         left = measured - best @ unit
         variance = np.maximum(noise_variance(left @ left, len(left) - rank), 1.0)
         gram, right = columns @ columns.T / variance, columns @ measured / variance
-        posterior = normal_posterior(self.spread.nodes, gram, right, np.array(rows))
+        posterior = small_angles.normal_posterior(self.spread.nodes, gram, right, np.array(rows))
         spread = replace(self.spread, posterior=posterior)
-        return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
+        return replace(self, spread=spread, priors=small_angles.angular_priors(spread.names, posterior.priors))
 
     def drawn_as(self, other: Self) -> Self:
         """With the size of the angular errors of a model of other readings."""
@@ -110,17 +104,17 @@ class StepDiagonalModel(MethodModel):
         """The model with angular errors of that root mean square, rad, whatever the readings say of them."""
         if self.spread is None:
             return self
-        expected = [size**2 * mean_shape(*where) for where in self.spread.nodes]
+        expected = [size**2 * small_angles.mean_shape(*where) for where in self.spread.nodes]
         spread = replace(self.spread, posterior=None)
-        return replace(self, spread=spread, priors=angular_priors(spread.names, expected))
+        return replace(self, spread=spread, priors=small_angles.angular_priors(spread.names, expected))
 
     @property
-    def random(self) -> SmallAngles | None:
+    def random(self) -> small_angles.SmallAngles | None:
         """Small angles: what is published is the mean over all their sizes and shapes that are possible."""
         if self.spread is None or self.spread.posterior is None:
             return None
         names = tuple(label for labels in self.spread.names for label in labels)
-        return SmallAngles(names, self.spread.nodes, self.spread.posterior.ratios)
+        return small_angles.SmallAngles(names, self.spread.nodes, self.spread.posterior.ratios)
 
     @property
     def edges(self) -> Array:
