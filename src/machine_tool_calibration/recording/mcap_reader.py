@@ -32,6 +32,9 @@ _REGISTRATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _LARGEST_RECORD = 256 << 20  # bytes of a record, or of a chunk that is unpacked
 _FOOTER = _HEAD.size + 20 + len(MAGIC)  # bytes
 _DEFINITIONS = 16 << 20  # bytes of message definitions that are kept
+_MAKES_WHOLE, _SAVES_OTHERS = "`mtcal recover` makes it whole", "`mtcal recover` saves the others"
+_SAVES_BEFORE = "`mtcal recover` saves what stands before"
+UNREGISTERED = "a message of a channel {} that was never registered"
 
 Parsed = TypeVar("Parsed")
 
@@ -68,17 +71,13 @@ def records(
     while opcode != Opcode.FOOTER:
         head = stream.read(_HEAD.size)
         if len(head) < _HEAD.size:
-            raise UnfinishedError(f"{path}: ends at byte {size} without a footer; `mtcal recover` makes it whole")
+            raise UnfinishedError(f"{path}: ends at byte {size} without a footer; {_MAKES_WHOLE}")
         opcode, length = _HEAD.unpack(head)
         end = offset + _HEAD.size + length
         if end > size:
-            raise UnfinishedError(
-                f"{path}: the record at byte {offset} is cut short; `mtcal recover` saves what stands before it"
-            )
+            raise UnfinishedError(f"{path}: the record at byte {offset} is cut short; {_SAVES_BEFORE} it")
         if opcode == 0 or length > _LARGEST_RECORD:
-            raise RecordingError(
-                f"{path}: damaged at byte {offset}: no record begins there; `mtcal recover` saves what stands before"
-            )
+            raise RecordingError(f"{path}: damaged at byte {offset}: no record begins there; {_SAVES_BEFORE}")
         skipped = offset in skip or opcode in (Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX)
         content = b"" if skipped else stream.read(length)
         stream.seek(end)
@@ -91,10 +90,8 @@ def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parse
     try:
         return read(ReadDataStream(BytesIO(record.content)))
     except (struct.error, McapError, ValueError, TypeError, OverflowError):
-        what = "chunk" if record.opcode == Opcode.CHUNK else "record"
-        raise RecordingError(
-            f"{path}: the {what} at byte {record.offset} is damaged; `mtcal recover` saves what is whole"
-        ) from None
+        what = f"the {'chunk' if record.opcode == Opcode.CHUNK else 'record'} at byte {record.offset}"
+        raise RecordingError(f"{path}: {what} is damaged; `mtcal recover` saves what is whole") from None
 
 
 def unpack(path: Path, record: RawRecord, *, cut: bool = False) -> bytes:
@@ -120,13 +117,13 @@ def unpack(path: Path, record: RawRecord, *, cut: bool = False) -> bytes:
                 break
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
         if not cut:
-            raise RecordingError(f"{where} cannot be unpacked; `mtcal recover` saves the others") from None
+            raise RecordingError(f"{where} cannot be unpacked; {_SAVES_OTHERS}") from None
     if cut:
         return bytes(data[:size])
     if len(data) != size:
         raise RecordingError(f"{where} does not unpack to the {size} bytes that it declares")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise RecordingError(f"{where} is damaged: its checksum is wrong; `mtcal recover` saves the others")
+        raise RecordingError(f"{where} is damaged: its checksum is wrong; {_SAVES_OTHERS}")
     return bytes(data)
 
 
@@ -156,7 +153,7 @@ def messages_in(
         at = start + length
         is_message = opcode == _IS_MESSAGE
         if at > end or (is_message and length < _MESSAGE.size) or not (is_message or opcode in _REGISTRATIONS):
-            raise RecordingError(f"{path}: the chunk at byte {offset} is damaged; `mtcal recover` saves the others")
+            raise RecordingError(f"{path}: the chunk at byte {offset} is damaged; {_SAVES_OTHERS}")
         if not is_message:
             yield RawRecord(opcode, offset, length, content[start:at])
             continue
@@ -224,9 +221,7 @@ class McapReader:
         for entry in self._walk(skip, ids):
             if isinstance(entry, RawMessage):
                 if (channel := known.get(entry.channel)) is None:
-                    raise RecordingError(
-                        f"{self.path}: a message of a channel {entry.channel} that was never registered"
-                    )
+                    raise RecordingError(f"{self.path}: {UNREGISTERED.format(entry.channel)}")
                 yield channel, entry
 
     def _walk(self, skip: Collection[int], wanted: Collection[int] | None) -> Iterator[RawMessage | RawRecord]:
@@ -240,17 +235,14 @@ class McapReader:
 
     def _check_ends(self, stream: BinaryIO) -> None:
         if not (head := stream.read(len(MAGIC))):
-            raise UnfinishedError(
-                f"{self.path}: the file is empty; the recorder was killed before its first second was over"
-            )
+            why = "the recorder was killed before its first second was over"
+            raise UnfinishedError(f"{self.path}: the file is empty; {why}")
         if head != MAGIC:
             raise RecordingError(f"{self.path}: is not an MCAP file")
         stream.seek(max(0, os.fstat(stream.fileno()).st_size - _FOOTER))
         tail = stream.read(_FOOTER)
         if len(tail) < _FOOTER or not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
-            raise UnfinishedError(
-                f"{self.path}: was not finished (the recorder was killed?); `mtcal recover` makes it whole"
-            )
+            raise UnfinishedError(f"{self.path}: was not finished (the recorder was killed?); {_MAKES_WHOLE}")
         first = next(records(self.path, stream))
         profile = _parse(self.path, first, Header.read).profile if first.opcode == Opcode.HEADER else ""
         if profile not in ("ros2", ""):
@@ -263,7 +255,7 @@ class McapReader:
         if not (start := _parse(self.path, footer, Footer.read).summary_start):
             return None
         if not 8 <= start < size:
-            raise RecordingError(f"{self.path}: the footer points outside the file; `mtcal recover` makes it whole")
+            raise RecordingError(f"{self.path}: the footer points outside the file; {_MAKES_WHOLE}")
         found, statistics = Summary(Channels(self.path)), None
         for record in records(self.path, stream, start=start):
             found.channels.take(record)

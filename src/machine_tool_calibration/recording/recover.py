@@ -13,7 +13,8 @@ from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
-from machine_tool_calibration.recording.mcap_reader import Channels, RawMessage, RawRecord, messages_in, records, unpack
+from machine_tool_calibration.recording import mcap_reader
+from machine_tool_calibration.recording.mcap_reader import RawMessage, RawRecord, messages_in, records, unpack
 from machine_tool_calibration.recording.metadata import offered_qos
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.text import begins_with
@@ -119,7 +120,7 @@ class _Salvage:
         self._read = read
         self.problems: list[str] = []
         self.lost = 0
-        self._channels = Channels(path)
+        self._channels = mcap_reader.Channels(path)
 
     def messages(self) -> Iterator[tuple[Channel, Schema | None, RawMessage]]:
         if not begins_with(self.path, MAGIC):
@@ -131,7 +132,7 @@ class _Salvage:
                 self._channels.take(entry)
                 continue
             if (channel := self._channels.channels.get(entry.channel)) is None:
-                self._problem(f"a message of a channel {entry.channel} that was never registered", len(entry.data))
+                self._problem(mcap_reader.UNREGISTERED.format(entry.channel), len(entry.data))
                 continue
             yield channel, self._channels.schemas.get(channel.schema_id), entry
 
