@@ -130,10 +130,8 @@ def compare_maps(
     kept = np.einsum("qs,qs->q", span, span) < 1.0 - _ROUNDING_SHARE
     if not kept.any():
         n = int(there.any(axis=1).sum())
-        raise ModelError(
-            f"the maps have too little in common ({n} point{'s' if n > 1 else ''}): the motion between their datums "
-            "takes up every difference, and nothing is left to compare"
-        )
+        why = "the motion between their datums takes up every difference, and nothing is left to compare"
+        raise ModelError(f"the maps have too little in common ({n} point{'s' if n > 1 else ''}): {why}")
     difference = np.where(kept, difference, 0.0)
     spread = [np.where(kept, np.sqrt(np.einsum("kq,kq->q", row, row)), 0.0) for row in (*free, both)]
     one, two, u_one, u_two, u = (_placed(there, values) for values in (b + difference, b, *spread))
@@ -162,13 +160,9 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
     undetermined = np.linalg.norm(right[rank:], axis=0) > _ROUNDING_SHARE
     solve = np.linalg.pinv(moves, rcond=_LEAST_SINGULAR_VALUE)
     value, spread = solve @ difference, np.sqrt(np.einsum("mk,mk->m", solve @ rows.T, solve @ rows.T))
-    out = []
-    for k, name in enumerate(_MOTIONS):
-        factor, unit = (1.0, "m") if k < 3 else (1.0 / scale, "rad")
-        known = not undetermined[k]
-        number, u = (factor * float(value[k]), factor * float(spread[k])) if known else (np.nan, np.nan)
-        out.append(Motion(name, number, u, unit))
-    return tuple(out)
+    units = [(1.0, "m")] * 3 + [(1.0 / scale, "rad")] * 3
+    told = zip(_MOTIONS, units, *np.where(undetermined, np.nan, [value, spread]).tolist(), strict=True)
+    return tuple(Motion(name, factor * number, factor * u, unit) for name, (factor, unit), number, u in told)
 
 
 def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
@@ -225,10 +219,8 @@ def compare_fits(
     one, two = (states(own.points, own.content) for own in maps)
     pairs = common_points(one, two)
     if not len(pairs[0]):
-        raise ModelError(
-            "the maps have no point in common: measure at the same commanded positions, or take a model whose map "
-            "covers them"
-        )
+        advice = "measure at the same commanded positions, or take a model whose map covers them"
+        raise ModelError(f"the maps have no point in common: {advice}")
     own = []
     for k, (fitted, pair) in enumerate(zip((first, second), pairs, strict=True)):
 
