@@ -12,6 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups, means_of, rms, unsigned
 from machine_tool_calibration.coverage import K
+from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
@@ -61,7 +62,7 @@ class Estimate:
         }
 
 
-def determined_values(fit: Fit) -> tuple[Array, Array]:
+def determined_values(fit: Fit | Solution) -> tuple[Array, Array]:
     """(m,) values of a model's unknowns and (m,) their standard uncertainties; NaN where they are not determined."""
     u = np.sqrt(np.diag(fit.covariance).clip(0.0))
     return np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, u, np.nan)

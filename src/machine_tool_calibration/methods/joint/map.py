@@ -14,7 +14,7 @@ from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
     MachineTable,
@@ -94,7 +94,8 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
     solution = joint.published
-    content: dict[str, Any] = {"tables": tables_content(common.tables, *(values[index] for values in _values(joint)))}
+    values, uncertainties = (one[index] for one in determined_values(solution))
+    content: dict[str, Any] = {"tables": tables_content(common.tables, values, uncertainties)}
     content |= _rotary(joint)
     if angles is not None:
         content |= {"angular_size": angles.size, "angular_probability": angles.probability}
@@ -178,15 +179,9 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
     return np.asarray(points[::step])
 
 
-def _values(joint: JointFit) -> tuple[Array, Array]:
-    """(m,) values of the shared unknowns and (m,) standard uncertainties; NaN where they are not determined."""
-    published, u = joint.published, np.sqrt(np.diag(joint.published.covariance).clip(0.0))
-    return np.where(published.determined, published.theta, np.nan), np.where(published.determined, u, np.nan)
-
-
 def _rotary(joint: JointFit) -> dict[str, Any]:
     out: dict[str, Any] = {}
-    for parameter, value, u in zip(joint.assembly.parameters, *_values(joint), strict=True):
+    for parameter, value, u in zip(joint.assembly.parameters, *determined_values(joint.published), strict=True):
         if parameter.shared and parameter.kind is Kind.MOTION and parse_motion(parameter.owner).axis in "ABC":
             entry = out.setdefault(parameter.owner, {"nodes": [], "value": [], "value_u": []})
             for key, one in (("nodes", parameter.at), ("value", value), ("value_u", u)):
