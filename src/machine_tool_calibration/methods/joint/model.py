@@ -10,7 +10,7 @@ random functions are such motions too (`small_angles`).
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -205,17 +205,10 @@ def _translated(weights: Mapping[str, float], translate: Mapping[str, Mapping[st
     return {name: weight for name, weight in out.items() if abs(weight) > 1e-12}
 
 
-class _Condition(NamedTuple):
-    """A condition on the machine, and the number of the session that states it."""
-
-    session: int
-    constraint: Constraint
-
-
 def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Sequence[MachineTable]) -> CommonModels:
     """The models with those conditions on the machine that all readings together need."""
     own: list[list[Constraint]] = []
-    candidates: list[_Condition] = []
+    candidates: list[tuple[int, Constraint]] = []  # with the number of the session that states it
     read = {table.name: np.zeros(len(table.labels), dtype=bool) for table in tables}
     for model in models:
         for term in model.terms:
@@ -227,10 +220,10 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
         sensed = {table.name for table in tables_of(model)}
         acting = [table for table in tables if table.name in sensed]
         datum = table_datum(acting, [read[table.name] for table in acting])
-        candidates += [_Condition(index, c) for c in datum]
-        candidates += [_Condition(index, c) for c in model.constraints if shared & set(c.weights)]
+        candidates += [(index, c) for c in datum]
+        candidates += [(index, c) for c in model.constraints if shared & set(c.weights)]
     motions = {label: table for table in tables for label in table.labels}
-    candidates.sort(key=lambda candidate: _preference(candidate.constraint, motions))
+    candidates.sort(key=lambda candidate: _preference(candidate[1], motions))
     bare = [replace(model, constraints=tuple(own[k])) for k, model in enumerate(models)]
     assembly = assemble(bare, labels)
     m = assembly.problem.size
@@ -248,11 +241,12 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     rows = [weight_row(places[index], constraint.weights, m) * scale for index, constraint in candidates]
     families = {p.name: p.family for model in bare for p in model.parameters}
     chosen, fixed = needed_rows(basis, rows)
+    needed = [candidates[k] for k in chosen]
     out = []
     for index, model in enumerate(bare):
-        mine = tuple(candidates[k].constraint for k in chosen if candidates[k].session == index)
+        mine = tuple(constraint for owner, constraint in needed if owner == index)
         out.append(replace(model, constraints=model.constraints + mine))
-    conditions = (_words(candidates[k].constraint, families) for k in chosen)
+    conditions = (_words(constraint, families) for _, constraint in needed)
     words = told_together((say("datum.together"), *conditions), "; ")
     by_name = {p.name: row for p, row in zip(assembly.parameters, fixed * scale[:, None], strict=True) if p.shared}
     return CommonModels(tuple(out), tuple(tables), by_name, words)
