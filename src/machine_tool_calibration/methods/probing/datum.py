@@ -230,14 +230,14 @@ def conditions(
 def known_weights(table: MachineTable, position: float) -> dict[str, float]:
     """A positioning error at a position, counted from the axis's zero, as a weighted sum of the table's unknowns."""
     weights = interpolation(table.nodes, np.array([position]))[:, 0]
-    if _within(table.nodes, 0.0):
+    if table.nodes[0] <= 0.0 <= table.nodes[-1]:
         weights = weights - interpolation(table.nodes, np.zeros(1))[:, 0]
     return _named(table, weights)
 
 
 def _zero(table: MachineTable) -> Condition:
     places = []
-    if _within(table.nodes, 0.0):
+    if table.nodes[0] <= 0.0 <= table.nodes[-1]:
         weights = interpolation(table.nodes, np.zeros(1))[:, 0]
         places.append(Place(_named(table, weights), 0.0, f"{table.name}(0) = 0"))
     nearest = np.argsort(np.abs(table.nodes), kind="stable").tolist()
@@ -270,10 +270,6 @@ def _from_outside(nodes: Array) -> list[int]:
     """Nodes from the outermost on the positive side inwards, then from the outermost on the negative side."""
     positive = [k for k in range(len(nodes) - 1, -1, -1) if nodes[k] > 1e-12]
     return positive + [k for k in range(len(nodes)) if nodes[k] < -1e-12]
-
-
-def _within(nodes: Array, value: float) -> bool:
-    return bool(nodes[0] <= value <= nodes[-1])
 
 
 def _named(table: MachineTable, weights: Array) -> dict[str, float]:
