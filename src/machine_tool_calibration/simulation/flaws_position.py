@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flaws of the machine's position: backlash, reversals, heat, drifts, pitch errors, scale, and error motions."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -173,9 +173,9 @@ def _carriage(
     return Flaw(f"{flaw}_{name}", text, unit, typical, disturb, given or {}, draw, methods)
 
 
-def _bent(name: str) -> Flaw:
-    """A screw that is not straight moves the carriage aside once a lead."""
-    return _carriage("straightness_periodic", name, _WAVES, _pitch, {"lead": 0.012}, drawn_phase, methods=CIRCLE)
+def _aside(components: Sequence[str]) -> list[str]:
+    """Error motions of a linear axis that are not along it."""
+    return [component + axis for axis in "XYZ" for component in components if component[1] != axis]
 
 
 _HALF_WIDTH = "-size * dir_{a} (half width)"
@@ -192,17 +192,14 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
     *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
     *_along("reversal_periodic", f"dir_{{a}} * {_WAVES}", 1.5e-6, _cogging, {"lead": 0.012}, drawn_phase),
-    *(_bent(component + axis) for axis in "XYZ" for component in motions.COMPONENTS[:3] if component[1] != axis),
+    # a screw that is not straight moves the carriage aside once a lead
+    *(_carriage("straightness_periodic", name, _WAVES, _pitch, {"lead": 0.012}, drawn_phase, methods=CIRCLE)
+      for name in _aside(motions.COMPONENTS[:3])),
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
          lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
     *(_motion(component + axis) for axis in "XYZC" for component in motions.COMPONENTS),
 )  # fmt: skip
-
-
-def _reversal(name: str) -> Flaw:
-    """The carriage lies against the other side of its guideway when it comes back."""
-    return _carriage("reversal", name, _HALF_WIDTH, _backlash)
 
 
 _SPIKES = "-size * dir_{a} * exp(-path since {a} reversed / reach)"
@@ -212,7 +209,8 @@ REVERSAL_FLAWS: tuple[Flaw, ...] = (
     *_along("reversal_spike", _SPIKES, 2e-6, _spike, {"reach": 0.005}, methods=CIRCLE),
     *_along("servo_mismatch", "-size * velocity of {a}", 1e-4, _servo_lag, unit="s", methods=CIRCLE),
     *_along("vibration", _SHAKES, 1e-6, _vibration, {"frequency": 0.37}, drawn_phase, methods=CIRCLE),
-    *(_reversal(component + axis) for axis in "XYZ" for component in motions.COMPONENTS if component[1] != axis),
+    # the carriage lies against the other side of its guideway when it comes back
+    *(_carriage("reversal", name, _HALF_WIDTH, _backlash) for name in _aside(motions.COMPONENTS)),
 )
 
 _AXES = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
