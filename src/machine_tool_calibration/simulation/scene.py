@@ -9,9 +9,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray, last_sign
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 
-_MEAN = {"air_pressure": 101325.0, "relative_humidity": 0.5}
-_OFFSET = {"air_pressure": 400.0, "relative_humidity": 0.08}
-_SWING = {"air_pressure": 60.0, "relative_humidity": 0.02}
+# Mean, how far a workshop is off it, and how much it wanders, in the quantity's unit.
+_AIR = {"air_pressure": (101325.0, 400.0, 60.0), "relative_humidity": (0.5, 0.08, 0.02)}
+_TEMPERATURE = (20.0, 0.45, 0.45)
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> Envir
     """A workshop whose temperatures wander by about a kelvin within hours, times `swing`, each in its own way."""
     drifts = {}
     for name in ENVIRONMENT_COLUMNS:
-        mean = _MEAN.get(name, 20.0) + _OFFSET.get(name, 0.45) * rng.normal()
-        scale = _SWING.get(name, 0.45) * swing
+        usual, off, wanders = _AIR.get(name, _TEMPERATURE)
+        mean, scale = usual + off * rng.normal(), wanders * swing
         periods = rng.uniform(2000.0, 14000.0, 3)
         sizes = scale * rng.normal(size=3) * (periods / 10000.0)
         phases = rng.uniform(0, 2 * np.pi, 3)
@@ -115,7 +115,7 @@ class Scene:
         return self._drift(column).rate(self.time)
 
     def _drift(self, column: str) -> Drift:
-        return self.environment.drifts.get(column, Drift(_MEAN.get(column, 20.0)))
+        return self.environment.drifts.get(column, Drift(_AIR.get(column, _TEMPERATURE)[0]))
 
     def toward(self, axis: str) -> Array:
         """(n,) sign of the last move of an axis; +1 where it did not move."""
