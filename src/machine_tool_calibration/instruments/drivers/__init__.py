@@ -3,7 +3,6 @@
 
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
 from machine_tool_calibration.instruments.drivers.driver import Driver, Health, InstrumentError, Sample
@@ -32,15 +31,11 @@ def load_driver(file: Path) -> Driver:
         settings = validated(AsciiLineSettings, content, source, document, refusal=InstrumentError)
         return AsciiLineDriver(settings)
     for entry in entry_points(group=PLUGIN_GROUP, name=content["driver"]):
-        return _from_plugin(entry.load, content, source)
+        try:
+            driver = entry.load()(content)
+        except Exception as error:
+            raise InstrumentError(f"{source}: the driver {entry.name!r} failed: {error}") from error
+        if not isinstance(driver, Driver):
+            raise InstrumentError(f"{source}: the plugin {entry.name!r} is no driver")
+        return driver
     raise InstrumentError(f"{source}: there is no driver {content['driver']!r}; ascii_line is built in")
-
-
-def _from_plugin(load: Any, content: dict[str, Any], source: str) -> Driver:
-    try:
-        driver = load()(content)
-    except Exception as error:
-        raise InstrumentError(f"{source}: the driver {content['driver']!r} failed: {error}") from error
-    if not isinstance(driver, Driver):
-        raise InstrumentError(f"{source}: the plugin {content['driver']!r} is no driver")
-    return driver
