@@ -192,11 +192,8 @@ class Probe(ManagedNode):
     def _finish(self, cycle: _Cycle, held: int) -> None:
         """The axes are back where the touch began."""
         self._cycle = None
-        point = (
-            cycle.touch.point
-            if self._surface is None
-            else self._surface.part.description.workpiece[cycle.touch.point].id
-        )
+        number = cycle.touch.point
+        point = self._surface.part.description.workpiece[number].id if self._surface else number
         if cycle.problem:
             early = cycle.problem.startswith("touch too early")
             self._early += early
