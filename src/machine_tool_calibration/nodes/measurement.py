@@ -235,11 +235,8 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
     for name in setting.external:
         if name not in nodes:
             raise CalibrationError(f"{name!r} is not a node of the graph; these are {', '.join(nodes)}")
-    left_out = set(setting.external)
-    if not setting.record:
-        left_out.add("recorder")
-    if not setting.identify:
-        left_out.add("estimator")
+    optional = {"recorder": setting.record, "estimator": setting.identify}
+    left_out = {*setting.external, *(name for name, wanted in optional.items() if not wanted)}
     first = sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
     return {name: parameters[name] for name in first if name not in left_out}
 
