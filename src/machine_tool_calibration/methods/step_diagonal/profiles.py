@@ -10,6 +10,7 @@ laser that is aligned on the machine's own motion; squareness and straightness d
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import permutations
 
 import numpy as np
 
@@ -79,11 +80,9 @@ class Profiles:
             letter = "XYZ"[axis]
             ends = self._row(self._places(axis, axis)[[-1, 0]], np.array([1.0, -1.0]))
             out.append(self._figure(f"E{letter}{letter}", "positioning", ends))
-        for axis in self.moved:
-            for component in self.moved:
-                if component != axis:
-                    name = f"E{'XYZ'[component]}{'XYZ'[axis]}"
-                    out.append(self._most(name, "straightness", partial(self._extent, component=component, axis=axis)))
+        for axis, component in permutations(self.moved, 2):
+            name = f"E{'XYZ'[component]}{'XYZ'[axis]}"
+            out.append(self._most(name, "straightness", partial(self._extent, component=component, axis=axis)))
         for name, (_, one, _) in _SQUARENESS.items():
             if set(one) <= set(self.moved):
                 out.append(self._most(name, "squareness", partial(self._squareness, name=name)))
