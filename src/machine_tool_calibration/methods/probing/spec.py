@@ -111,16 +111,8 @@ class ProbingSpec(MethodSpec):
         for label, group in (("", None), ("point", groups(readings.labels["point"]))):
             owner: dict[str, Any] = {"label": label, "group": group}
             yield Held("the place (x, y)", touched, off, np.full(len(off), beside), **owner)
-            yield Held(
-                "the approach (dir_x, dir_y)",
-                left,
-                np.where(against, 1.0, 0.0),
-                np.full(len(off), 0.5),
-                unit="",
-                share=_AGAINST,
-                hint=lambda setup: "are the normals of workpiece reversed?",
-                **owner,
-            )
+            owner |= {"unit": "", "share": _AGAINST, "hint": lambda setup: "are the normals of workpiece reversed?"}
+            yield Held("the approach (dir_x, dir_y)", left, against.astype(float), np.full(len(off), 0.5), **owner)
 
 
 SPEC = ProbingSpec()

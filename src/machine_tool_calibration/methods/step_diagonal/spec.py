@@ -3,6 +3,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -115,21 +116,12 @@ class DiagonalSpec(MethodSpec):
             if np.mean(missed > _ON_HALT * step.min()) < 0.5:
                 bad[mine] |= missed > _ON_HALT * step.min()
                 off[mine] = np.maximum(off[mine], missed)
-        yield Held(
-            "the place",
-            "the run that start, direction, step and blocks state",
-            np.where(bad, off, 0.0),
-            np.zeros(len(off)),
-            share=0.0,
-            hint=lambda setup: _run_of_places(session, setup),
-        )
+        against, hint = "the run that start, direction, step and blocks state", partial(_run_of_places, session)
+        yield Held("the place", against, np.where(bad, off, 0.0), np.zeros(len(off)), share=0.0, hint=hint)
+        along = off_prediction(session, path, readings.repeat_of_setup)
         length = float(np.linalg.norm(step * description.blocks))
-        yield Held(
-            "displacement",
-            "the way along the beam to where it was read",
-            off_prediction(session, path, readings.repeat_of_setup),
-            _ERROR + _SCALE * length + _TILT * across,
-        )
+        against = "the way along the beam to where it was read"
+        yield Held("displacement", against, along, _ERROR + _SCALE * length + _TILT * across)
 
 
 SPEC = DiagonalSpec()

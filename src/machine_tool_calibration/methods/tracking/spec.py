@@ -2,6 +2,7 @@
 """The tracking interferometer: its traits, and readings against the stations as they are stated."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -100,21 +101,12 @@ class TrackingSpec(MethodSpec):
         reach = np.linalg.norm(lines_of_sight(session, readings.position())[:, : description.dimension], axis=1)
         place = np.array([allowed(session, setup.position_uncertainty) for setup in description.setups])[readings.setup]
         if description.pointing == "open_loop":
-            yield Held(
-                "the beam (azimuth)" if description.dimension == 2 else "the beam (azimuth, elevation)",
-                "the direction from the stated place of the station to the target",
-                _off_beam(session),
-                (place + _MISSED) / np.maximum(reach, 1e-9),
-                "rad",
-                share=_SINGLE,
-                hint=lambda setup: _zero_angle(session, setup),
-            )
-        yield Held(
-            "displacement",
-            "the change of distance from the stated place of the station to the target",
-            off_prediction(session, reach, readings.setup),
-            2.0 * place + _ERROR,
-        )
+            beam = "the beam (azimuth)" if description.dimension == 2 else "the beam (azimuth, elevation)"
+            against = "the direction from the stated place of the station to the target"
+            within, hint = (place + _MISSED) / np.maximum(reach, 1e-9), partial(_zero_angle, session)
+            yield Held(beam, against, _off_beam(session), within, "rad", share=_SINGLE, hint=hint)
+        against = "the change of distance from the stated place of the station to the target"
+        yield Held("displacement", against, off_prediction(session, reach, readings.setup), 2.0 * place + _ERROR)
 
     def suspicious(self, session: Session) -> Iterator[str]:
         """Readings at one place that differ, and an azimuth that all stations count from another zero.
