@@ -152,16 +152,10 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
             hint = f"{left_out[0].name}: {left_out[0].why}"
         raise ModelError(f"{' + '.join(session.source for session in sessions)}: no tables of error motions: {hint}")
     chains = [session.description.machine.kinematics for session in sessions]
-    made = AxisTables(
-        next((chain for chain in chains if chain.linear), chains[0]),
-        tuple(found),
-        squareness,
-        _backlash(result.parameters),
-        tuple(left_out),
-        common.datum,
-        words,
-        result.model_name + (f" with {', '.join(result.effects)}" if result.effects else ""),
-    )
+    chain = next((chain for chain in chains if chain.linear), chains[0])
+    model = result.model_name + (f" with {', '.join(result.effects)}" if result.effects else "")
+    backlash = _backlash(result.parameters)
+    made = AxisTables(chain, tuple(found), squareness, backlash, tuple(left_out), common.datum, words, model)
     content = result.error_map.content
     return _without_levers(made, content) if "x_position" in content else made
 

@@ -294,14 +294,8 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
         names = (motion_value(table.name, node, "rad", shared=False, prefix="angle.") for node in table.nodes)
         own.append(Term(f"angle.{table.name}", tuple(names), term.columns))
     spread = Spread(tuple(table for table, _ in told), tuple(own))
-    whole = replace(
-        base,
-        terms=base.terms + spread.terms,
-        spread=spread,
-        left_out=left_out,
-        datum=together((base.datum, _RANDOM), "; "),
-    )
-    return whole.reestimated()
+    terms, words = base.terms + spread.terms, together((base.datum, _RANDOM), "; ")
+    return replace(base, terms=terms, spread=spread, left_out=left_out, datum=words).reestimated()
 
 
 # Share of a column's norm beside such functions below which it says nothing of its own.
@@ -350,18 +344,10 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
             f"this session has {', '.join(orders) or 'no diagonal'}"
         )
     angles = tuple(candidates[term.name] for term in kept)
-    left_out = model.left_out + tuple(
-        NotDetermined(table.name, say("undetermined.no_order"))
-        for table in rotations
-        if candidates[table.name] not in angles
-    )
-    full = replace(
-        model,
-        terms=(*model.terms, *kept),
-        angles=angles,
-        constraints=model.constraints + table_datum(angles),
-        left_out=left_out,
-    )
+    lost = [table.name for table in rotations if candidates[table.name] not in angles]
+    left_out = model.left_out + tuple(NotDetermined(name, say("undetermined.no_order")) for name in lost)
+    terms, constraints = (*model.terms, *kept), model.constraints + table_datum(angles)
+    full = replace(model, terms=terms, angles=angles, constraints=constraints, left_out=left_out)
     return _without_undetermined_slopes(full, model)
 
 
