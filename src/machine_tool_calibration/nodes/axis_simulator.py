@@ -56,13 +56,9 @@ class AxisSimulator(ManagedNode):
         self._random = np.random.default_rng([self.site.spec.seed, 23])
 
         self._states = self.create_publisher(JointState, "joint_states", messages.STATE)
-        self._status = messages.StatusTopic(
-            self,
-            "axes",
-            publisher=self.create_publisher(DiagnosticArray, "axes/status", messages.STATE),
-            hardware_id=f"simulated machine {self.site.machine.chain}",
-            clock=self._now,
-        )
+        told = self.create_publisher(DiagnosticArray, "axes/status", messages.STATE)
+        hardware = f"simulated machine {self.site.machine.chain}"
+        self._status = messages.StatusTopic(self, "axes", publisher=told, hardware_id=hardware, clock=self._now)
         self._executed = self.create_publisher(JointTrajectory, "axes/executed", messages.STATE)
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", messages.STATE)
         self._table = self.create_publisher(PoseStamped, "truth/table", messages.STATE)

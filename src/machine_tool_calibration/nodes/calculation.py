@@ -304,12 +304,9 @@ def improved(request: Request, progress: Progress) -> Outcome:
         "reduced_chi_square_after": last.reduced_chi_square,
     }
     residual = f"{micrometres(before)} -> {micrometres(after)} µm RMS residual"
-    return Outcome(
-        f"improved by {', '.join(steps.accepted) or 'nothing'}: {residual}",
-        values,
-        {**messages, **_map(request, last.result), "improvement/result": _text(improvement_document(steps))},
-        effects=effects,
-    )
+    messages |= {**_map(request, last.result), "improvement/result": _text(improvement_document(steps))}
+    words = f"improved by {', '.join(steps.accepted) or 'nothing'}: {residual}"
+    return Outcome(words, values, messages, effects=effects)
 
 
 def _map(request: Request, result: Result) -> dict[str, Any]:

@@ -220,13 +220,9 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
     copy, site = setting.output / "procedure.yaml", setting.output / "site.yaml"
     shutil.copyfile(file, copy)
     site.write_text(yaml_text(site_document(procedure, setting.site)), encoding="utf-8")
+    method, bag = procedure.session.method, (setting.output / "bag").resolve()
     parameters = graph_parameters(
-        procedure.session.method,
-        copy.resolve(),
-        site.resolve(),
-        simulated_time=setting.simulated_time,
-        driver=setting.driver,
-        bag=(setting.output / "bag").resolve(),
+        method, copy.resolve(), site.resolve(), simulated_time=setting.simulated_time, driver=setting.driver, bag=bag
     )
     parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
     if setting.until is not None:

@@ -151,12 +151,9 @@ class Player(ManagedNode):
                 self.get_logger().warning(f"{name} is not played: {error}")
                 continue
             offered = _offered(topic)
-            outlets[name] = _Outlet(
-                self.create_publisher(kind, name, qos_profile(offered)),
-                offered.depth,
-                offered.reliability == "reliable",
-                offered.latched,
-            )
+            publisher = self.create_publisher(kind, name, qos_profile(offered))
+            reliable = offered.reliability == "reliable"
+            outlets[name] = _Outlet(publisher, offered.depth, reliable, offered.latched)
         return outlets
 
     def _tick(self) -> None:

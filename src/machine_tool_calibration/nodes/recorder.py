@@ -42,11 +42,9 @@ class Recorder(ManagedNode):
         self._taken = 0
         self.trouble = ""
         self._waiting = self.lives_in_simulated_time
+        path = Path(f"{Path(folder)}{number}")
         self.bag = BagWriter(
-            Path(f"{Path(folder)}{number}"),
-            flush_seconds=self._flush,
-            split_bytes=self._split_bytes,
-            split_seconds=self._split_time,
+            path, flush_seconds=self._flush, split_bytes=self._split_bytes, split_seconds=self._split_time
         )
         self._bags += 1
         self.taps = Taps(self, self.resolve_topic_name("/clock") if self._waiting else "")

@@ -102,13 +102,8 @@ def status(
     name: str, level: Level, message: str, entries: Mapping[str, object], hardware_id: str = NO_HARDWARE
 ) -> DiagnosticStatus:
     """One entry: what it is about, how it is, a sentence for people, values for programs, and the device's id."""
-    return DiagnosticStatus(
-        level=bytes([level]),
-        name=name,
-        message=message,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=str(value)) for key, value in entries.items()],
-    )
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in entries.items()]
+    return DiagnosticStatus(level=bytes([level]), name=name, message=message, hardware_id=hardware_id, values=pairs)
 
 
 def values(message: DiagnosticArray) -> dict[str, str]:
