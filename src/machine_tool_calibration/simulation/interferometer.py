@@ -150,14 +150,8 @@ class SimulatedSource:
         noise = self._sample_noise * self._random.normal(size=count)
         centre = float(paths[middle])
         self.values = np.delete(paths, middle) + air + noise
-        return Window(
-            start=start,
-            end=end,
-            path=centre + air + float(noise.mean()),
-            spread=float(noise.std()),
-            samples=int(count),
-            inputs={self.optics.body: end, "beam": self._beam_stamp},
-        )
+        path, inputs = centre + air + float(noise.mean()), {self.optics.body: end, "beam": self._beam_stamp}
+        return Window(start, end, path, float(noise.std()), int(count), inputs)
 
     def stream(self) -> Batch:
         """The samples that the last window averaged."""

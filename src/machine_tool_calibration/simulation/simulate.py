@@ -216,11 +216,5 @@ def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMa
 
 def _readings(measurement: Measurement, displacement: Array) -> Readings:
     scene = measurement.scene
-    return Readings(
-        setup=scene.setup,
-        repeat=scene.repeat,
-        displacement=displacement,
-        columns={**scene.columns, **measurement.columns},
-        labels=measurement.labels,
-        row=np.arange(len(scene)),
-    )
+    columns = {**scene.columns, **measurement.columns}
+    return Readings(scene.setup, scene.repeat, displacement, columns, measurement.labels, np.arange(len(scene)))

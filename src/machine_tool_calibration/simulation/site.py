@@ -186,15 +186,9 @@ class Site(LiveMachine):
         +1 where absent; `setup` is the instrument's, and `start` when its first reading was taken, s.
         """
         axis = self.table_axis or "C"
-        return self.scene(
-            time,
-            [position.get(name, 0.0) for name in "xyz"],
-            {name.upper(): float(sign) for name, sign in direction.items()},
-            angle=position.get(axis.lower(), 0.0),
-            axis=axis,
-            setup=setup,
-            start=start,
-        )
+        place, angle = [position.get(name, 0.0) for name in "xyz"], position.get(axis.lower(), 0.0)
+        signs = {name.upper(): float(sign) for name, sign in direction.items()}
+        return self.scene(time, place, signs, angle=angle, axis=axis, setup=setup, start=start)
 
     def table(self, moment: Scene) -> tuple[Array, Array]:
         """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""
