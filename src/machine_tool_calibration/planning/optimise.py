@@ -411,11 +411,8 @@ class _Relaxed:
         above[:, : self.count], above[:, -1] = tangents, -1.0
         goal, ends = np.zeros(self.rows.shape[1]), np.ones(self.rows.shape[1])
         goal[-1], ends[-1] = 1.0, np.inf
-        rules = optimize.LinearConstraint(
-            np.vstack([self.rows, above]),
-            np.concatenate([self.left, np.full(len(values), -np.inf)]),
-            np.concatenate([self.right, -values]),
-        )
+        left, right = np.append(self.left, np.full(len(values), -np.inf)), np.append(self.right, -values)
+        rules = optimize.LinearConstraint(np.vstack([self.rows, above]), left, right)
         found = optimize.milp(
             goal,
             constraints=rules,

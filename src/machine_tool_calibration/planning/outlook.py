@@ -48,14 +48,8 @@ class Outlook:
 def outlook_of(found: Forecast, words: str) -> Outlook:
     """That of a procedure that is run by itself, from its forecast."""
     observations, error_map = found.result.fit.model.observations, found.result.error_map
-    return Outlook(
-        words,
-        _to_be_read(observations.session, observations.readings),
-        observations.position,
-        error_map.points,
-        error_map.uncertainty,
-        found.seconds,
-    )
+    read = _to_be_read(observations.session, observations.readings)
+    return Outlook(words, read, observations.position, error_map.points, error_map.uncertainty, found.seconds)
 
 
 def current(session: Session, published: ErrorMap) -> Outlook:
@@ -95,19 +89,13 @@ def outlooks(
         mine, theirs = common_points(before, found_at, within=_NEAR)
         after[mine] = error_map.uncertainty[theirs]
         new = observations.readings.row >= option.first_row
-        found = Outlook(
-            option.measure if labels is None else f"{labels[k]}: {option.measure}",
-            _to_be_read(option.session, observations.readings.select(new)),
-            observations.position[new],
-            published.points,
-            # What the datum fixes is known before and after, and what a budget adds to the readings stays.
-            np.sqrt(
-                np.maximum(published.uncertainty**2 - read**2, 0.0)
-                + (read * np.divide(after, now, out=np.ones_like(now), where=now != 0.0)) ** 2
-            ),
-            option.seconds,
-            option.aside,
-        )
+        words = option.measure if labels is None else f"{labels[k]}: {option.measure}"
+        further = _to_be_read(option.session, observations.readings.select(new))
+        # What the datum fixes is known before and after, and what a budget adds to the readings stays.
+        stays = np.maximum(published.uncertainty**2 - read**2, 0.0)
+        u = np.sqrt(stays + (read * np.divide(after, now, out=np.ones_like(now), where=now != 0.0)) ** 2)
+        places = observations.position[new]
+        found = Outlook(words, further, places, published.points, u, option.seconds, option.aside)
         alike = k, int(new.sum()), f"{found.typical:.3g}"
         if alike not in then or option.effort < then[alike][0]:
             then[alike] = option.effort, found
