@@ -97,15 +97,8 @@ class _SerialTransport:
     def __init__(self, settings: Serial, timeout: float) -> None:
         self._name = str(settings)
         with _refusal(f"cannot open the serial port {self._name}"):
-            self._port = serial.Serial(
-                settings.port,
-                settings.baudrate,
-                settings.bytesize,
-                settings.parity[0].upper(),
-                settings.stopbits,
-                write_timeout=timeout,
-                exclusive=True,
-            )
+            frame = settings.bytesize, settings.parity[0].upper(), settings.stopbits
+            self._port = serial.Serial(settings.port, settings.baudrate, *frame, write_timeout=timeout, exclusive=True)
             self._port.reset_input_buffer()
 
     def read(self, timeout: float) -> bytes:
