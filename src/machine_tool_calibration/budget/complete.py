@@ -5,7 +5,7 @@ Commands, nodes and pages identify, improve and conclude by these: a session tha
 uncertainty everywhere. Without one it is what the readings show, which their words say.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -26,6 +26,7 @@ from machine_tool_calibration.methods.iso230_2 import of_diagonals
 from machine_tool_calibration.model.result import Identified, Result
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.planning.what_to_measure import conclude as conclude_from
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 
@@ -43,26 +44,20 @@ def identify(chosen: FitRequest) -> Result | JointResult:
     return completed(result, propagate(fitted_sessions(result), lines)) if lines else result
 
 
-def improve(
-    subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
-) -> Improvement:
+def improve(subject: Session | FitRequest, *, progress: Progress = untold) -> Improvement:
     """Make a model better step by step, each as of `identify`; a ModelError if the data does not allow the model."""
     chosen = FitRequest.of(subject)
     return completed_steps(improve_models(chosen, progress=progress), declared_contributors(chosen.sessions))
 
 
-def diagnose(chosen: FitRequest, *, progress: Callable[[str, float], None]) -> tuple[Diagnosis, Conclusions]:
+def diagnose(chosen: FitRequest, *, progress: Progress) -> tuple[Diagnosis, Conclusions]:
     """Look for what a model lacks, and draw the conclusions; a ModelError if the data does not allow the model."""
     found = look_for_effects(chosen, progress=lambda what, share: progress(what, SEARCH * share))
     return found, conclude(found, progress=progress)
 
 
 def conclude(
-    found: Diagnosis,
-    contributors: Sequence[Contributor] | None = None,
-    *,
-    seed: int = 1,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    found: Diagnosis, contributors: Sequence[Contributor] | None = None, *, seed: int = 1, progress: Progress = untold
 ) -> Conclusions:
     """What follows from a diagnosis, from `SEARCH` on; sizes by contributors, given or stated, if there are any."""
     lines = declared_contributors(found.chosen.sessions) if contributors is None else contributors

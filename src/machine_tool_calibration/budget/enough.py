@@ -14,6 +14,7 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.units import quantity
 
@@ -96,7 +97,7 @@ def determined(chosen: FitRequest) -> int:
 
 
 def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], bool]:
-    found, _ = complete.diagnose(chosen, progress=lambda what, share: None)
+    found, _ = complete.diagnose(chosen, progress=untold)
     probabilities, enough = dict.fromkeys(names, 0.0), dict.fromkeys(names, False)
     for one in found.search.findings:
         if one.name in probabilities:

@@ -20,6 +20,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import beside_reversal
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.session import refuse_repeated
 
 LEVEL = 0.01
@@ -203,7 +204,7 @@ def compare_fits(
     *,
     draws: int = DRAWS,
     seed: int = 1,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    progress: Progress = untold,
 ) -> MapComparison:
     """Compare the maps of two independent measurements of one machine at the points that both have.
 

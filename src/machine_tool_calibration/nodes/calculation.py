@@ -30,9 +30,9 @@ from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.ros.messages import Level, cloud, dated, point, status
-from machine_tool_calibration.nodes.ros.services import Progress
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.plots.style import round_down
+from machine_tool_calibration.progress import Progress
 from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document

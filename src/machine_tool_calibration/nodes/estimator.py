@@ -22,7 +22,8 @@ from machine_tool_calibration.nodes import calculation
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, StatusTopic, from_message, stamp_now
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer
+from machine_tool_calibration.nodes.ros.services import Goals, offer
+from machine_tool_calibration.progress import Progress
 from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.description import Description
 

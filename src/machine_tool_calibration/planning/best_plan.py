@@ -23,8 +23,7 @@ from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import bound, quickest, search
 from machine_tool_calibration.procedure.description import Procedure
-
-Progress = Callable[[str, float], object]
+from machine_tool_calibration.progress import Progress, untold
 
 _SEARCH = 0.7  # share of the work that the search takes
 # Share of the uncertainty wanted that a plan is to come to: what does not reproduce between setups is looked for in
@@ -116,13 +115,7 @@ class Assumed:
 
 
 def best_plan(
-    text: str,
-    source: str,
-    assumed: Assumed,
-    *,
-    told: Sequence[str] = (),
-    seed: int = 0,
-    progress: Progress = lambda what, share: None,
+    text: str, source: str, assumed: Assumed, *, told: Sequence[str] = (), seed: int = 0, progress: Progress = untold
 ) -> BestPlan:
     """The best plan of what the text of a procedure's file (`source` in messages) offers.
 
@@ -136,17 +129,14 @@ def best_plan(
     progress("what every candidate tells", 0.0)
     candidates, points, complete = all_candidates(offered, assumed, told)
     judge = _Forecasts(offered, candidates, assumed, told)
-    found = search(
-        offered,
-        candidates,
-        seed=seed,
-        possible=judge.allows,
-        progress=lambda what, share: progress(what, _SEARCH * share),
-    )
 
-    def later(what: str, share: float) -> object:
-        return progress(what, _SEARCH + (1 - _SEARCH) * share)
+    def at_first(what: str, share: float) -> None:
+        progress(what, _SEARCH * share)
 
+    def later(what: str, share: float) -> None:
+        progress(what, _SEARCH + (1 - _SEARCH) * share)
+
+    found = search(offered, candidates, seed=seed, possible=judge.allows, progress=at_first)
     lowest = 0.0
     if not found.stopped:
         with suppress(KeyboardInterrupt):
@@ -173,7 +163,7 @@ def quickest_plan(
     *,
     u: float | None = None,
     told: Sequence[str] = (),
-    progress: Progress = lambda what, share: None,
+    progress: Progress = untold,
 ) -> str:
     """The file of a procedure whose setups are those that come soonest to what is wanted, the most useful ones first.
 

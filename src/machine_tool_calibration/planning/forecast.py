@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a procedure will determine, before it is run: uncertainties, gaps, and the smallest effects to be found."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.steps import Step, plan, pointing
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session import description as sessions
 from machine_tool_calibration.session.catalogue import method_spec
@@ -51,9 +52,7 @@ class Detectable:
     excluded: Mapping[str, str]  # effects that cannot act here, with the reason
 
 
-def detectable(
-    joint: JointFit, effects: Sequence[Effect], *, progress: Callable[[str, float], object] = lambda what, share: None
-) -> Detectable:
+def detectable(joint: JointFit, effects: Sequence[Effect], *, progress: Progress = untold) -> Detectable:
     """The smallest sizes of effects to be found if a fit's readings, whose places alone matter, scatter as declared."""
     screened, excluded = _screened(Pool(joint), effects, progress)
     needed = float(np.log(max(len(screened), 1.0 / priors.EFFECT)))
@@ -86,9 +85,7 @@ class _Screened:
         return best
 
 
-def _screened(
-    pool: Pool, effects: Sequence[Effect], progress: Callable[[str, float], object]
-) -> tuple[list[_Screened], dict[str, str]]:
+def _screened(pool: Pool, effects: Sequence[Effect], progress: Progress) -> tuple[list[_Screened], dict[str, str]]:
     """Every effect that can act, and why the others cannot; as many in one pass as fit into memory."""
     found: list[_Screened] = []
     excluded: dict[str, str] = {}
@@ -264,7 +261,7 @@ def forecast(
     own: Sequence[Effect] = (),
     warming: float = 1.0,
     angular: float = ANGULAR,
-    progress: Callable[[str, float], object] = lambda what, share: None,
+    progress: Progress = untold,
 ) -> Forecast:
     """What a procedure will determine, if its readings scatter as declared and mountings add no spread.
 

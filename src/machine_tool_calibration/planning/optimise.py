@@ -22,8 +22,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.planning.design import Candidates
 from machine_tool_calibration.planning.offer import Choice, Offer
-
-Progress = Callable[[str, float], object]
+from machine_tool_calibration.progress import Progress, untold
 
 # Starts, and plans to be tried at least, where there are so many.
 _STARTS = 4
@@ -133,7 +132,7 @@ def search(
     *,
     seed: int = 0,
     possible: Callable[[Choice], bool] = lambda choice: True,
-    progress: Progress = lambda what, share: None,
+    progress: Progress = untold,
 ) -> Searched:
     """The best plan that coordinate exchange finds, and others; the same seed gives the same plans.
 
@@ -334,9 +333,7 @@ def _most(offered: Offer) -> tuple[int, int]:
 
 
 @single_blas()
-def bound(
-    offered: Offer, candidates: Candidates, best: Searched, *, progress: Progress = lambda what, share: None
-) -> float:
+def bound(offered: Offer, candidates: Candidates, best: Searched, *, progress: Progress = untold) -> float:
     """A largest standard uncertainty that no plan of an offer falls below; `best` is a plan that was found."""
     every = sorted({*offered.choices.repeats, offered.present.repeats})
     scale = float(best.variances.max())

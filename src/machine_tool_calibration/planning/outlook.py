@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What would be known after a further measurement, beside what is known now."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
 from machine_tool_calibration.planning.dominant import angular_size, expecting
 from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.options import Option, further_options
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.session import Readings, Session
 
 # Standard uncertainty of readings that are to say nothing of the machine, m: thousands of times that of an instrument.
@@ -58,11 +58,7 @@ def current(session: Session, published: ErrorMap) -> Outlook:
 
 
 @single_blas()
-def outlooks(
-    chosen: FitRequest,
-    result: Result | JointResult,
-    progress: Callable[[str, float], object] = lambda what, share: None,
-) -> list[Outlook]:
+def outlooks(chosen: FitRequest, result: Result | JointResult, progress: Progress = untold) -> list[Outlook]:
     """What is known now, and what would be after each further measurement that the sessions allow.
 
     The published uncertainty of each coordinate shrinks as the one that follows from the declared uncertainty does:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What to measure next: to distinguish confounded effects, and to detect what this measurement could not show."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.dominant import Dominant, left_with, limits_of, with_remedies
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.planning.sensing import Sensed, SizedEffect, sense
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.words import together
 
 
@@ -171,7 +172,7 @@ _NONE_DISTINGUISHES = "none of the further measurements that were considered dis
 
 
 @single_blas()
-def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None] = lambda what, share: None) -> Advice:
+def what_to_measure(diagnosis: Diagnosis, progress: Progress = untold) -> Advice:
     """Try further measurements that the user can make, on paper, and propose the best.
 
     Each is added to the session as readings without values; what they sense of effects follows from geometry alone.
@@ -263,9 +264,7 @@ class Conclusions:
     advice: Advice  # what to measure next
 
 
-def conclude(
-    found: Diagnosis, *, progress: Callable[[str, float], None], added: Added = lambda fitted: {}
-) -> Conclusions:
+def conclude(found: Diagnosis, *, progress: Progress, added: Added = lambda fitted: {}) -> Conclusions:
     """What follows from a diagnosis; `progress` begins at `SEARCH`, and sizes are told with the uncertainty `added`."""
     progress("what the candidates would change", SEARCH)
     changes = consequences(found, added)

@@ -14,6 +14,7 @@ import pandas as pd
 
 from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.files import whole
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
 from machine_tool_calibration.recording.metadata import Topic
 from machine_tool_calibration.recording.reader import BagReader, Message, is_readable
@@ -158,7 +159,7 @@ def file_name(topic: str) -> str:
 
 
 def save_tables(
-    bag: BagReader, folder: Path, form: str, report: Callable[[str, float], object] = lambda what, share: None
+    bag: BagReader, folder: Path, form: str, report: Progress = untold
 ) -> tuple[dict[str, Path], list[str]]:
     """Write each topic's table (`csv` or `parquet`) into a folder, which must not exist or be empty.
 

@@ -35,6 +35,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
+from machine_tool_calibration.progress import Progress
 
 _GOAL = re.compile("goal ([0-9a-f]{32}): ")
 
@@ -123,7 +124,6 @@ class Outcomes:
 
 
 Outcome = TypeVar("Outcome")
-Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
 
 _GOALS_KEPT = 10  # goals that have ended
