@@ -36,9 +36,9 @@ def taps(ros_domain, monkeypatch):
     made.add("/reading", "rosgraph_msgs/msg/Clock")
     come = {"/clock": [], "/reading": []}
 
-    def give(tap, taken):
-        taken.extend(come[tap.topic])
-        come[tap.topic] = []
+    def give(tap):
+        given, come[tap.topic] = come[tap.topic], []
+        return given
 
     monkeypatch.setattr(made, "_take", give)
     yield made, come

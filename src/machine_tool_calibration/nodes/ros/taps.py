@@ -10,6 +10,7 @@ others keep the machine busy: in simulated time messages and ticks of the clock 
 import importlib
 import time
 from bisect import bisect_right
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -135,9 +136,7 @@ class Taps:
 
     def take(self, *, last: bool = False) -> list[Taken]:
         """What has come, in order, in simulated time of sending, as far as dated: the `last` time nothing waits."""
-        taken: list[Taken] = []
-        for tap in self.taps.values():
-            self._take(tap, taken)
+        taken = [message for tap in self.taps.values() for message in self._take(tap)]
         if self._clocks:
             return self._dated(taken, last)
         return sorted(taken, key=lambda message: message.received)
@@ -159,9 +158,7 @@ class Taps:
         return self._ticks[max(before - 1, 0)][1] if self._ticks else 0
 
     def _hear_clock(self) -> None:
-        ticks: list[Taken] = []
-        for clock in self._clocks:
-            self._take(clock, ticks)
+        ticks = [message for clock in self._clocks for message in self._take(clock)]
         while len(self._clocks) > 1 and self._clocks[-1].messages:
             self._hidden.destroy_subscription(self._clocks.pop(0).subscription)
         new = []
@@ -177,7 +174,8 @@ class Taps:
         """Unsubscribe."""
         self._hidden.destroy_node()
 
-    def _take(self, tap: Tap, taken: list[Taken]) -> None:
+    def _take(self, tap: Tap) -> Iterator[Taken]:
+        """What has come since it was asked before."""
         handle, kind = tap.subscription.handle, tap.subscription.msg_type
         with handle:
             for _ in range(_MOST_AT_ONCE):
@@ -187,7 +185,7 @@ class Taps:
                 number = info["publication_sequence_number"] or 0
                 tap.count(number)
                 received, sent = info["received_timestamp"], info["source_timestamp"]
-                taken.append(Taken(tap.topic, data, received, sent or received, number))
+                yield Taken(tap.topic, data, received, sent or received, number)
 
     def _subscribe(self, topic: str, message_type: str, request: Qos) -> Subscription:
         return self._hidden.create_subscription(
