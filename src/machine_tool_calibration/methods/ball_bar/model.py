@@ -75,21 +75,19 @@ def build(session: Session, model: str = "circle") -> CircleModel:
     np.put_along_axis(flat, plane, in_plane(arm, plane), axis=1)
     direction = flat / np.linalg.norm(flat, axis=1)[:, None]
     radius = np.array([setup.radius for setup in description.setups])[readings.setup]
-    observations = Observations(
-        session, readings, position, direction, np.zeros_like(direction), radius, readings.setup
-    )
+    seen = Observations(session, readings, position, direction, np.zeros_like(direction), radius, readings.setup)
     chain = description.machine.kinematics
     planes = dict.fromkeys(setup.plane for setup in description.setups)
     squareness = {frozenset(axes): name for name, axes in SQUARENESS.items()}
     tables = tuple(MachineTable(chain, squareness[frozenset(plane)], np.empty(0)) for plane in planes)
     scales = "".join(sorted({axis for name in planes for axis in name}))
-    terms = [table.term(observations) for table in tables]
+    terms = [table.term(seen) for table in tables]
     terms += [
-        Term(p.name, (p,), observations.sense(field[None]))
+        Term(p.name, (p,), seen.sense(field[None]))
         for p, field in zip(_mismatches(scales), _mismatch_field(scales, position), strict=True)
     ]
     return CircleModel(
-        observations=observations,
+        observations=seen,
         terms=tuple(terms),
         constraints=(),
         priors=(),
@@ -97,7 +95,7 @@ def build(session: Session, model: str = "circle") -> CircleModel:
         datum=say("datum.ball_bar"),
         tables=tables,
         scales=scales,
-        second_order=_second_order(observations, plane),
+        second_order=_second_order(seen, plane),
     )
 
 
@@ -114,16 +112,12 @@ def _with_feed(description: BallBar, readings: Readings) -> Readings:
 def _mismatches(scales: str) -> tuple[Parameter, ...]:
     """Scale of every other axis less that of the first."""
     first, others = scales[0], scales[1:]
-    return tuple(
-        Parameter(
-            f"scale_{axis.lower()}_less_{first.lower()}",
-            "1",
-            shared=True,
-            kind=Kind.SQUARENESS,
-            meaning=say("unknown.scale_difference", axis=axis, first=first),
-        )
-        for axis in others
-    )
+
+    def less_first(axis: str) -> Parameter:
+        name, meaning = f"scale_{axis}_less_{first}".lower(), say("unknown.scale_difference", axis=axis, first=first)
+        return Parameter(name, "1", shared=True, kind=Kind.SQUARENESS, meaning=meaning)
+
+    return tuple(map(less_first, others))
 
 
 def _mismatch_field(scales: str, position: Array) -> Array:
@@ -169,8 +163,7 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
     }
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
-        content["figures"], content["circles"] = circular_tests(
-            seen, model.second_order, fit.scatter_factor * model.sigma
-        )
+        u = fit.scatter_factor * model.sigma
+        content["figures"], content["circles"] = circular_tests(seen, model.second_order, u)
         content["figures"] += contributions(fit, model.terms, own)
     return ErrorMap(content, points, error, uncertainty, covariance)
