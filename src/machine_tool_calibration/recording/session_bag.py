@@ -105,9 +105,7 @@ def _labels(bag: BagReader, message: Message) -> dict[str, np.ndarray]:
     """Text columns of the user's own, which a JointState cannot carry."""
     try:
         content = json.loads(bag.read(message, text))
-        return {
-            str(name): np.array([str(value) for value in values], dtype=np.str_) for name, values in content.items()
-        }
+        return {str(name): np.array(list(map(str, values)), dtype=np.str_) for name, values in content.items()}
     except (ValueError, AttributeError, TypeError, RecursionError):
         raise RecordingError(f"{bag.path}: {message.topic} is not a JSON object of lists") from None
 

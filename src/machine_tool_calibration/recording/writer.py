@@ -250,16 +250,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         return self._mcap
 
     def _register(self, writer: Writer, name: str) -> None:
-        topic = self._topics[name]
-        kind = topic.summary.type
-        if kind not in self._schemas:
+        topic, summary = self._topics[name], self._topics[name].summary
+        if (kind := summary.type) not in self._schemas:
             self._schemas[kind] = writer.register_schema(kind, topic.schema_encoding, topic.definition)
-        told = {
-            "offered_qos_profiles": metadata.qos_text(topic.summary.qos),
-            "topic_type_hash": topic.summary.type_hash,
-        }
-        encoding = topic.summary.encoding
-        self._channels[name] = writer.register_channel(name, encoding, self._schemas[kind], told)
+        told = {"offered_qos_profiles": metadata.qos_text(summary.qos), "topic_type_hash": summary.type_hash}
+        self._channels[name] = writer.register_channel(name, summary.encoding, self._schemas[kind], told)
 
     def _is_full(self, file: _File, log_time: int) -> bool:
         summary = self.summaries[-1]

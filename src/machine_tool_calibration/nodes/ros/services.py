@@ -118,9 +118,8 @@ class Outcomes:
         level: messages.Level = messages.Level.OK,
     ) -> None:
         """Publish an outcome of the goal of that id, at a time, ns."""
-        self._publisher.publish(
-            messages.dated(DiagnosticArray(status=[messages.status(verb, level, text, values, goal)]), stamp, "")
-        )
+        status = messages.status(verb, level, text, values, goal)
+        self._publisher.publish(messages.dated(DiagnosticArray(status=[status]), stamp, ""))
 
 
 Outcome = TypeVar("Outcome")
