@@ -193,9 +193,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     base = replace(base, nominal=base.nominal + _second_order(base, displacement))
     if model in ("translations", "aligned_mirror"):
         return replace(base, left_out=base.left_out + tuple(NotDetermined(t.name, _ZERO) for t in rotations))
-    if model == "small_angles":
-        return _with_spread(base, rotations)
-    return free_angles(base, rotations)
+    return _with_spread(base, rotations) if model == "small_angles" else free_angles(base, rotations)
 
 
 def _observations(session: Session, readings: Readings, runs: Sequence[geometry.Run]) -> tuple[Observations, Array]:
@@ -242,9 +240,8 @@ def _placed(nodes: Array, undetermined: Array) -> BoolArray:
     most = float(np.abs(undetermined).max())
 
     def off_line(there: IntArray) -> float:
-        return float(
-            np.abs(undetermined[there] - design[there] @ np.linalg.pinv(design[there]) @ undetermined[there]).max()
-        )
+        lines, moves = design[there], undetermined[there]
+        return float(np.abs(moves - lines @ np.linalg.pinv(lines) @ moves).max())
 
     there = np.arange(len(nodes))
     while off_line(there) > _SAME_LINE * most:
@@ -361,9 +358,7 @@ def _without_undetermined_slopes(full: StepDiagonalModel, base: StepDiagonalMode
     if not len(open_ones):
         return full
     labels = [label for table in full.angles for label in table.labels]
-    constraints = tuple(
-        Constraint({label: float(w) for label, w in zip(labels, row, strict=True)}) for row in open_ones
-    )
+    constraints = tuple(Constraint(dict(zip(labels, row, strict=True))) for row in open_ones.tolist())
     ends = np.cumsum([len(table.labels) for table in full.angles])[:-1]
     shares = np.split(np.abs(open_ones).max(axis=0), ends)
     sharing = [table.name for table, share in zip(full.angles, shares, strict=True) if share.max() > _ANGULAR_SHARE]

@@ -128,11 +128,8 @@ class Profiles:
 
     def _figure(self, name: str, kind: str, row: Array) -> Figure:
         used = row != 0
-        if (
-            not np.isfinite(row).all()
-            or not np.isfinite(self.value[used]).all()
-            or is_open(row[None], self.undetermined)[0]
-        ):
+        known = np.isfinite(row).all() and np.isfinite(self.value[used]).all()
+        if not known or is_open(row[None], self.undetermined)[0]:
             return Figure(name, kind, np.nan, np.nan)
         variance = row[used] @ self.covariance[np.ix_(used, used)] @ row[used]
         return Figure(name, kind, float(row[used] @ self.value[used]), float(np.sqrt(max(variance, 0.0))))

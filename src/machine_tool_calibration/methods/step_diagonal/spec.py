@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step diagonal: its traits, and readings against the runs as they are stated."""
 
-import itertools
 from collections.abc import Iterable, Iterator
 from functools import partial
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
@@ -78,10 +78,8 @@ class DiagonalSpec(MethodSpec):
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements of a step diagonal."""
-        mistakes = itertools.chain(scaled(session, *UNITS, *SENSES), exchanged_axes(session, 3))
-        yield judged_by_worst(
-            _off_diagonal, itertools.chain(mistakes, badly_exchanged(session, _off_diagonal, "setup"))
-        )
+        mistakes = chain(scaled(session, *UNITS, *SENSES), exchanged_axes(session, 3))
+        yield judged_by_worst(_off_diagonal, chain(mistakes, badly_exchanged(session, _off_diagonal, "setup")))
         yield judged_by_worst(_off_halts, badly_exchanged(session, _off_halts, "setup"))
 
     def suspicious(self, session: Session) -> Iterator[str]:
