@@ -117,10 +117,8 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
         covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])
-    undetermined = (
-        np.linalg.norm(flat.T @ solution.undetermined_directions()[index], axis=1).reshape(n, 3) > OPEN_CHANGE
-    )
-    error, uncertainty, covariance = determined_part(error, covariance, undetermined | beyond)
+    moved = np.linalg.norm(flat.T @ solution.undetermined_directions()[index], axis=1).reshape(n, 3)
+    error, uncertainty, covariance = determined_part(error, covariance, (moved > OPEN_CHANGE) | beyond)
     content |= {"points": points, "position_error": error, "position_error_u": uncertainty, "datum": common.datum}
     return ErrorMap(content, points, error, uncertainty, covariance, lost)
 

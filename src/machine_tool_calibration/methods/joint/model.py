@@ -210,10 +210,8 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     own: list[list[Constraint]] = []
     candidates: list[tuple[int, Constraint]] = []  # with the number of the session that states it
     read = {table.name: np.zeros(len(table.labels), dtype=bool) for table in tables}
-    for model in models:
-        for term in model.terms:
-            if term.name in read:
-                read[term.name] |= read_nodes(term.columns)
+    for term in (term for model in models for term in model.terms if term.name in read):
+        read[term.name] |= read_nodes(term.columns)
     for index, model in enumerate(models):
         shared = {p.name for p in model.parameters if p.shared}
         own.append([c for c in model.constraints if not shared & set(c.weights)])
