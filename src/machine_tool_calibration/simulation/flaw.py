@@ -84,10 +84,7 @@ def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
     total: dict[str, Any] = vars(Disturbance()).copy()
     for part in parts:
         for name, value in vars(part).items():
-            if isinstance(value, Mapping):
-                total[name] = summed(total[name], value)
-            else:
-                total[name] = total[name] + value
+            total[name] = summed(total[name], value) if isinstance(value, Mapping) else total[name] + value
     return Disturbance(**total)
 
 

@@ -105,10 +105,8 @@ def _vibration(size: float, given: Parameters, scene: Scene, _: str) -> Array:
 
 
 def _squareness(name: str) -> Flaw:
-    def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
-        return Disturbance(squareness={name: size})
-
-    return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb, methods=LINEAR)
+    text = f"squareness {name} = size"
+    return Flaw(name, text, "rad", 1e-5, lambda size, _, scene: Disturbance(squareness={name: size}), methods=LINEAR)
 
 
 def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> motions.Table:
@@ -223,10 +221,8 @@ def _turned_way(name: str, angle: Array, scene: Scene) -> Disturbance:
 
 
 def _squareness_drift(name: str) -> Flaw:
-    def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
-        return _turned_way(name, size * scene.time, scene)
-
-    return Flaw(f"squareness_drift_{name}", f"squareness {name} = size * time", "rad/s", 5e-9, disturb, methods=LINEAR)
+    return Flaw(f"squareness_drift_{name}", f"squareness {name} = size * time", "rad/s", 5e-9,
+                lambda size, _, scene: _turned_way(name, size * scene.time, scene), methods=LINEAR)  # fmt: skip
 
 
 def _squareness_thermal(name: str) -> Flaw:

@@ -85,10 +85,7 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
     shaken = Disturbance()
     if spec.repeatability:
         shaken = Disturbance(point=spec.repeatability * rng["repeatability"].normal(size=(len(measurement.scene), 3)))
-    chosen = (
-        *(_choose(effect, index, spec, measurement, machine) for index, effect in enumerate(spec.effects)),
-        *extra,
-    )
+    chosen = (*(_choose(effect, k, spec, measurement, machine) for k, effect in enumerate(spec.effects)), *extra)
     before = since_first(measurement.read(machine, shaken), measurement.datum)
     flawed, disturbance = _apply(machine, measurement, chosen, shaken)
     raw = measurement.read(flawed, disturbance)

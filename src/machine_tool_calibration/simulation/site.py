@@ -235,9 +235,7 @@ class Site(LiveMachine):
 
 def read_site(path: str) -> SiteSpec:
     """The site described in a YAML file, which must be right; the usual one for an empty path."""
-    if not path:
-        return SiteSpec()
-    return read_record(Path(path), SiteSpec)
+    return read_record(Path(path), SiteSpec) if path else SiteSpec()
 
 
 _FORM_STREAM = 41
