@@ -87,9 +87,7 @@ class Sequencer:
         """Go on at the step that was interrupted, approached as planned."""
         self.state, self.message = State.RUNNING, "measuring"
         self._recoveries = self._unstable = 0
-        if not self._visits:
-            return self._next(now, wall, resumed=True)
-        return self._begin(now, wall, again=True)
+        return self._begin(now, wall, again=True) if self._visits else self._next(now, wall, resumed=True)
 
     def finish(self) -> None:
         """End with the readings so far, which are the whole measurement; only while paused."""
@@ -259,9 +257,8 @@ class Sequencer:
         pending = self._pending
         if pending.phase is not Phase.MOVE or pending.aim is None or pending.aimed is not None:
             return []
-        off = max(
-            abs(math.remainder(event.azimuth - pending.angles[0], math.tau)), abs(event.elevation - pending.angles[1])
-        )
+        azimuth, elevation = pending.angles
+        off = max(abs(math.remainder(event.azimuth - azimuth, math.tau)), abs(event.elevation - elevation))
         is_of_this_aim = event.setup == pending.aim.setup and event.stamp >= pending.aim.stamp
         if not (is_of_this_aim and off <= self.timing.pointing_tolerance):
             return []

@@ -276,9 +276,7 @@ def _ordered(path: Path) -> Iterator[dict[str, float]]:
     if path.points is not None:
         yield from (dict(point) for point in path.points)
         return
-    grid = {
-        name: entry.values() if isinstance(entry, Spread) else list(entry) for name, entry in (path.grid or {}).items()
-    }
+    grid = {name: at.values() if isinstance(at, Spread) else list(at) for name, at in (path.grid or {}).items()}
     names = list(grid)
     slow = names[:0:-1]  # all but the first, the slowest first
     back = False
