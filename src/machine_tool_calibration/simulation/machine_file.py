@@ -14,15 +14,8 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.record import AnyRecord, NotNegative, Record, validated
 from machine_tool_calibration.session.text import read_yaml
 from machine_tool_calibration.session.values import Finite
+from machine_tool_calibration.simulation import motions as error_motions
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.motions import (
-    AxisMotion,
-    Table,
-    motion_names,
-    random_periodic,
-    random_smooth,
-    summed,
-)
 
 
 class Amplitudes(Record):
@@ -77,9 +70,9 @@ def random_machine(
 
 def _motion(
     rng: np.random.Generator, axis: str, size: Amplitudes, ends: Mapping[str, tuple[float, float]]
-) -> AxisMotion:
+) -> error_motions.AxisMotion:
     """Random error motions of an axis; of a linear one between its ends."""
-    names, is_linear = motion_names(axis), axis in "XYZ"
+    names, is_linear = error_motions.motion_names(axis), axis in "XYZ"
     if is_linear:
         along, across, about, tilt = size.positioning, size.straightness, size.angular, size.angular
     else:
@@ -88,10 +81,10 @@ def _motion(
     own = {name: (along, about) if name[1] == axis else (across, tilt) for name in names}
     amplitudes = [own[name][name[1] in "ABC"] for name in names]
     if is_linear:
-        tables = random_smooth(rng, *ends[axis], amplitudes, knots=size.knots)
+        tables = error_motions.random_smooth(rng, *ends[axis], amplitudes, knots=size.knots)
     else:
-        tables = random_periodic(rng, amplitudes)
-    return AxisMotion(axis, tuple(zip(names, tables, strict=True)))
+        tables = error_motions.random_periodic(rng, amplitudes)
+    return error_motions.AxisMotion(axis, tuple(zip(names, tables, strict=True)))
 
 
 _SHORTEST_TRAVEL = 1e-6  # m or rad
@@ -112,9 +105,9 @@ class TableSpec(Record):
         self.table()
         return self
 
-    def table(self) -> Table:
+    def table(self) -> error_motions.Table:
         """The motion; a ModelError where its nodes and values are unfit."""
-        return Table(self.nodes, self.values, self.interpolation)
+        return error_motions.Table(self.nodes, self.values, self.interpolation)
 
 
 class MachineSpec(Record):
@@ -169,7 +162,7 @@ def build_machine(
         if len(name) != 3 or name[-1] not in parsed.axes:
             raise ModelError(f"error motion {name!r}: the chain {text} has no such axis")
         tables.append((name, table.table()))
-    line = summed(machine.average_line, spec.average_line)
+    line = error_motions.summed(machine.average_line, spec.average_line)
     machine = replace(machine, average_line=line, tool_offset=spec.tool_offset)
     return machine.with_errors(tables, spec.squareness)
 
@@ -201,9 +194,9 @@ def machine_document(machine: VirtualMachine) -> dict[str, Any]:
     }
 
 
-def merged(axis: AxisMotion) -> dict[str, Table]:
+def merged(axis: error_motions.AxisMotion) -> dict[str, error_motions.Table]:
     """One table per error motion; several of one name are summed on a fine common grid."""
-    by_name: dict[str, list[Table]] = {}
+    by_name: dict[str, list[error_motions.Table]] = {}
     for name, table in axis.tables:
         by_name.setdefault(name, []).append(table)
     out = {}
@@ -219,5 +212,5 @@ def merged(axis: AxisMotion) -> dict[str, Table]:
             nodes = np.sort(np.concatenate([nodes, fine[~near]]))
             kind = "periodic" if {table.interpolation for table in tables} == {"periodic"} else "linear"
         values = tuple(np.sum([table(nodes) for table in tables], axis=0).tolist())
-        out[name] = Table(tuple(nodes.tolist()), values, kind)
+        out[name] = error_motions.Table(tuple(nodes.tolist()), values, kind)
     return out

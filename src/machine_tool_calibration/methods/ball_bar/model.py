@@ -17,18 +17,11 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, way_over_time
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
 from machine_tool_calibration.methods.build import linear_part
+from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, determined_values
-from machine_tool_calibration.model.rigid_body import (
-    OPEN_CHANGE,
-    MachineTable,
-    determined_part,
-    map_field,
-    position_errors,
-    tables_content,
-)
 from machine_tool_calibration.session.description import BallBar
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say
@@ -38,7 +31,7 @@ from machine_tool_calibration.words import say
 class CircleModel(MethodModel):
     """Centre and length of the bar in every setup; squareness and difference of the scales of the machine."""
 
-    tables: tuple[MachineTable, ...]  # squareness errors of the planes that were measured
+    tables: tuple[rigid_body.MachineTable, ...]  # squareness errors of the planes that were measured
     scales: str  # letters of the axes whose scales are compared, the first one the reference
     second_order: Array  # (n,) what the offset of the centre adds to its first order, m
 
@@ -79,7 +72,7 @@ def build(session: Session, model: str = "circle") -> CircleModel:
     chain = description.machine.kinematics
     planes = dict.fromkeys(setup.plane for setup in description.setups)
     squareness = {frozenset(axes): name for name, axes in SQUARENESS.items()}
-    tables = tuple(MachineTable(chain, squareness[frozenset(plane)], np.empty(0)) for plane in planes)
+    tables = tuple(rigid_body.MachineTable(chain, squareness[frozenset(plane)], np.empty(0)) for plane in planes)
     scales = "".join(sorted({axis for name in planes for axis in name}))
     terms = [table.term(seen) for table in tables]
     terms += [
@@ -146,19 +139,19 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
     """Position errors by squareness and difference of scales, from the machine's zero; figures of ISO 230-4."""
     seen, own = model.observations, len(model.own)
     points = seen.position[distinct_places(seen.position)[0]]
-    field = np.concatenate([map_field(model.tables, points), _mismatch_field(model.scales, points)])
+    field = np.concatenate([rigid_body.map_field(model.tables, points), _mismatch_field(model.scales, points)])
     mine = slice(own, own + len(field))
-    error, covariance = position_errors(field, fit.theta[mine], fit.covariance[mine, mine])
+    error, covariance = rigid_body.position_errors(field, fit.theta[mine], fit.covariance[mine, mine])
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
-    undetermined = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > OPEN_CHANGE
+    undetermined = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > rigid_body.OPEN_CHANGE
     undetermined |= ~np.isin(np.arange(3), ["XYZ".index(axis) for axis in model.scales])
-    error, uncertainty, covariance = determined_part(error, covariance, undetermined)
+    error, uncertainty, covariance = rigid_body.determined_part(error, covariance, undetermined)
     theta, sigma = determined_values(fit)
     content: dict[str, Any] = {
         "points": points,
         "position_error": error,
         "position_error_u": uncertainty,
-        "tables": tables_content(model.tables, theta[own:], sigma[own:]),
+        "tables": rigid_body.tables_content(model.tables, theta[own:], sigma[own:]),
         "datum": model.datum,
     }
     # These are of the readings themselves: a restated fit changes nothing of them.

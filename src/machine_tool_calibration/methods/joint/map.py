@@ -12,17 +12,10 @@ from machine_tool_calibration.machine.error_motions import off_a_line, parse_mot
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
+from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.result import ErrorMap, determined_values
-from machine_tool_calibration.model.rigid_body import (
-    OPEN_CHANGE,
-    MachineTable,
-    determined_part,
-    map_field,
-    position_errors,
-    tables_content,
-)
 from machine_tool_calibration.words import say, together
 
 # Positions equal to the micrometre are one.
@@ -30,7 +23,7 @@ _DIGITS = 6
 
 
 def between_nodes(
-    tables: Sequence[MachineTable],
+    tables: Sequence[rigid_body.MachineTable],
     theta: Array,
     covariance: Array,
     points: Array,
@@ -57,7 +50,7 @@ def between_nodes(
         lever[np.isin(np.round(at, _DIGITS), np.round(seen, _DIGITS))] = 0.0
         if lever.max(initial=0.0) <= 1e-3 * float(np.ptp(nodes)) ** 2 / len(nodes) ** 2:
             continue
-        moved = map_field([replace(table, nodes=nodes[:1])], points)[0]
+        moved = rigid_body.map_field([replace(table, nodes=nodes[:1])], points)[0]
         bend = squared_bend(nodes[good], theta[mine][good], covariance[mine, mine][np.ix_(good, good)])
         variance = np.where(good[right - 1] & good[right], lever**2 * bend, 0.0)
         out += variance[:, None, None] * moved[:, :, None] * moved[:, None, :]
@@ -95,13 +88,13 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
     solution = joint.published
     values, uncertainties = (one[index] for one in determined_values(solution))
-    content: dict[str, Any] = {"tables": tables_content(common.tables, values, uncertainties)}
+    content: dict[str, Any] = {"tables": rigid_body.tables_content(common.tables, values, uncertainties)}
     content |= _rotary(joint)
     if angles is not None:
         content |= {"angular_size": angles.size, "angular_probability": angles.probability}
     points = _points(joint, common)
     n = len(points)
-    field = map_field(common.tables, points)
+    field = rigid_body.map_field(common.tables, points)
     flat = field.reshape(len(field), 3 * n)
     beyond, lost = _beyond(common.tables, points)
     beyond |= ~_sensed(common)
@@ -113,12 +106,14 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     if open_.shape[1]:
         flat = flat - (open_ @ np.linalg.lstsq(open_[inside], flat.T[inside], rcond=1e-9)[0]).T
     theta, own = solution.theta[index], solution.covariance[np.ix_(index, index)]
-    error, covariance = position_errors(flat.reshape(len(field), n, 3), theta, own)
+    error, covariance = rigid_body.position_errors(flat.reshape(len(field), n, 3), theta, own)
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
         covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])
     moved = np.linalg.norm(flat.T @ solution.undetermined_directions()[index], axis=1).reshape(n, 3)
-    error, uncertainty, covariance = determined_part(error, covariance, (moved > OPEN_CHANGE) | beyond)
+    error, uncertainty, covariance = rigid_body.determined_part(
+        error, covariance, (moved > rigid_body.OPEN_CHANGE) | beyond
+    )
     content |= {"points": points, "position_error": error, "position_error_u": uncertainty, "datum": common.datum}
     return ErrorMap(content, points, error, uncertainty, covariance, lost)
 
@@ -131,7 +126,7 @@ def _sensed(common: CommonModels) -> BoolArray:
     return sensed_axes(np.concatenate([np.zeros((0, 3)), *directions]))
 
 
-def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, tuple[NotDetermined, ...]]:
+def _beyond(tables: Sequence[rigid_body.MachineTable], points: Array) -> tuple[BoolArray, tuple[NotDetermined, ...]]:
     """(n, 3) components of the position error that depend on a table beyond its nodes, and this in words."""
     out = np.zeros((len(points), 3), dtype=bool)
     names: dict[tuple[str, float, float], list[str]] = {}
@@ -142,7 +137,7 @@ def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, t
         at, low, high = points[:, "XYZ".index(axis)], float(table.nodes[0]), float(table.nodes[-1])
         margin = _BEYOND_TABLE * (high - low)
         away = (at < low - margin) | (at > high + margin)
-        moved = np.abs(map_field([replace(table, nodes=table.nodes[:1])], points)[0]) > _MOVES
+        moved = np.abs(rigid_body.map_field([replace(table, nodes=table.nodes[:1])], points)[0]) > _MOVES
         if (away[:, None] & moved).any():
             out |= away[:, None] & moved
             names.setdefault((axis.lower(), low, high), []).append(table.name)

@@ -10,16 +10,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.rotary_axis.geometry import axis_rotation
+from machine_tool_calibration.session.checks import nominal_geometry
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, in_degrees, scaled, turned_round
-from machine_tool_calibration.session.checks.nominal_geometry import (
-    badly_exchanged,
-    enough_stations,
-    judged_by_worst,
-    lines_of_sight,
-    on_a_line,
-    refuse_one_line,
-    relative_misfit,
-)
 from machine_tool_calibration.session.description import Place, RotaryAxis
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.method import MethodSpec
@@ -49,15 +41,15 @@ class RotarySpec(MethodSpec):
         A SessionError: two stations at one place, too few stations or readings, all stations on a line.
         """
         description = session.description.as_a(RotaryAxis)
-        enough_stations(session, description.setups, measured, place, needed=3, method=session.method)
-        refuse_one_line(description.setups, place)
+        nominal_geometry.enough_stations(session, description.setups, measured, place, needed=3, method=session.method)
+        nominal_geometry.refuse_one_line(description.setups, place)
         _refuse_one_plane(description, place)
         _enough_angles(session, description, measured, place)
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements of a rotary axis."""
-        exchanges = (badly_exchanged(session, _off_table, kind) for kind in ("setup", "target"))
-        yield judged_by_worst(_off_table, itertools.chain(turning_mistakes(session), *exchanges))
+        exchanges = (nominal_geometry.badly_exchanged(session, _off_table, kind) for kind in ("setup", "target"))
+        yield nominal_geometry.judged_by_worst(_off_table, itertools.chain(turning_mistakes(session), *exchanges))
 
 
 SPEC = RotarySpec()
@@ -83,7 +75,7 @@ def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArra
     readings = session.readings
     ids = [target.id for target in description.targets]
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
-    straight = on_a_line(np.array([description.targets[i].position for i in used]))
+    straight = nominal_geometry.on_a_line(np.array([description.targets[i].position for i in used]))
     angle = readings.columns[description.machine.table_axis.lower()][measured]
     first, at_angle = distinct_places(angle[:, None])
     angles = len(first)
@@ -131,5 +123,7 @@ def turning_mistakes(session: Session) -> Iterator[Supposition]:
 
 def _off_table(session: Session) -> Array:
     readings = session.readings
-    path = np.linalg.norm(lines_of_sight(session, on_table(session, readings)), axis=1)
-    return relative_misfit(session, path, groups(readings.setup, readings.repeat, readings.labels["target"]))
+    path = np.linalg.norm(nominal_geometry.lines_of_sight(session, on_table(session, readings)), axis=1)
+    return nominal_geometry.relative_misfit(
+        session, path, groups(readings.setup, readings.repeat, readings.labels["target"])
+    )

@@ -36,6 +36,7 @@ from machine_tool_calibration.methods.step_diagonal import geometry
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.model import error_map as error_map
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, WAVES_NODES
+from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.model import (
     Constraint,
     Kind,
@@ -46,13 +47,6 @@ from machine_tool_calibration.model.model import (
     motion_value,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.rigid_body import (
-    MachineTable,
-    axis_nodes,
-    linear_axis_errors,
-    map_field,
-    table_datum,
-)
 from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
@@ -61,8 +55,8 @@ _LEAST_SENSITIVITY = 1e-6  # m/m
 
 
 def sensed_tables(
-    tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations
-) -> tuple[tuple[MachineTable, ...], tuple[NotDetermined, ...]]:
+    tables: Sequence[rigid_body.MachineTable], blocks: Sequence[Array], observations: Observations
+) -> tuple[tuple[rigid_body.MachineTable, ...], tuple[NotDetermined, ...]]:
     """Tables at those block positions at which a reading senses them, squareness as it is, and what none senses."""
     kept, left_out, position = [], [], observations.position
     for table in tables:
@@ -81,7 +75,7 @@ def sensed_tables(
         if nodes.sum() < 2 or not moved.any():
             left_out.append(NotDetermined(table.name, say("undetermined.no_run_senses")))
             continue
-        kept.append(MachineTable(table.chain, table.name, blocks[axis][nodes]))
+        kept.append(rigid_body.MachineTable(table.chain, table.name, blocks[axis][nodes]))
     return tuple(kept), tuple(left_out)
 
 
@@ -165,7 +159,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     for axis in moved:
         if axis not in chain.linear:
             raise ModelError(f"the runs move {axis.lower()}, which the chain {description.machine.chain} does not have")
-    candidates = linear_axis_errors(chain, moved)
+    candidates = rigid_body.linear_axis_errors(chain, moved)
     translations = [t for t in candidates if t.is_squareness or not t.is_rotation]
     rotations = [t for t in candidates if t.is_rotation and not t.is_squareness]
     observations, displacement = _observations(session, readings, runs)
@@ -176,7 +170,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     base = StepDiagonalModel(
         observations=observations,
         terms=terms,
-        constraints=table_datum(tables),
+        constraints=rigid_body.table_datum(tables),
         priors=(),
         left_out=left_out,
         datum=DATUM,
@@ -231,7 +225,7 @@ def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
     for table in model.tables:
         own = undetermined[[place[label] for label in table.labels]]
         placed.append(_placed(table.nodes, own) if table.is_straightness else np.ones(len(own), dtype=bool))
-    return table_datum(model.tables, placed)
+    return rigid_body.table_datum(model.tables, placed)
 
 
 def _placed(nodes: Array, undetermined: Array) -> BoolArray:
@@ -263,7 +257,7 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     end = start + np.array([run.motion for run in model.runs])
 
     def error(at: Array) -> Array:
-        return np.asarray(np.einsum("k,knj->nj", table_theta, map_field(model.tables, at)))
+        return np.asarray(np.einsum("k,knj->nj", table_theta, rigid_body.map_field(model.tables, at)))
 
     at_start = error(start)
     moved = error(model.observations.position) - at_start[setup]
@@ -280,8 +274,10 @@ def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
     return out
 
 
-def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
-    coarse = (replace(t, nodes=axis_nodes(base.blocks["XYZ".index(t.name[2])], WAVES_NODES)) for t in rotations)
+def _with_spread(base: StepDiagonalModel, rotations: list[rigid_body.MachineTable]) -> StepDiagonalModel:
+    coarse = (
+        replace(t, nodes=rigid_body.axis_nodes(base.blocks["XYZ".index(t.name[2])], WAVES_NODES)) for t in rotations
+    )
     told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
     left_out = base.left_out + tuple(NotDetermined(t.name, _ONLY_SIZE) for t in rotations)
     if not told:
@@ -329,7 +325,7 @@ def _indicators(group: IntArray) -> Array:
     return np.equal.outer(np.unique(group), group).astype(np.float64)
 
 
-def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> StepDiagonalModel:
+def free_angles(model: StepDiagonalModel, rotations: Sequence[rigid_body.MachineTable]) -> StepDiagonalModel:
     """The model with the angular errors that the orders of the moves determine as free tables; a ModelError if none."""
     own = (replace(table, nodes=model.blocks["XYZ".index(table.name[2])]) for table in rotations)
     candidates = {table.name: table for table in own}
@@ -343,7 +339,7 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
     angles = tuple(candidates[term.name] for term in kept)
     lost = [table.name for table in rotations if candidates[table.name] not in angles]
     left_out = model.left_out + tuple(NotDetermined(name, say("undetermined.no_order")) for name in lost)
-    terms, constraints = (*model.terms, *kept), model.constraints + table_datum(angles)
+    terms, constraints = (*model.terms, *kept), model.constraints + rigid_body.table_datum(angles)
     full = replace(model, terms=terms, angles=angles, constraints=constraints, left_out=left_out)
     return _without_undetermined_slopes(full, model)
 
