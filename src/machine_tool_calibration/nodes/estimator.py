@@ -60,7 +60,7 @@ class Estimator(ManagedNode):
         self.create_subscription(JointState, "reading", self._read, READINGS, event_callbacks=matched)
         for name, doing, work in _CALCULATIONS:
             self.goals.offer(name, partial(self._begin, doing, work), self._done)
-        offer(self, "~/reset", self._reset)
+        offer(self, reset=self._reset)
         self.create_service(AddDiagnostics, "~/add_effect", self._add_effect)
         self.every(_PERIOD, self._show)
         self._show()
@@ -142,15 +142,9 @@ class Estimator(ManagedNode):
 
     def _request(self) -> calculation.Request:
         model, effects, files, magnification = self.values("model", "effects", "effects_files", "magnification")
-        return calculation.Request(
-            text=self._text,
-            readings=self._received.in_order(),
-            model=model or None,
-            effects=tuple(name for name in effects or () if name),
-            files=tuple(name for name in files or () if name),
-            magnification=magnification,
-            now=partial(stamp_now, self),
-        )
+        named, own = (tuple(filter(None, names or ())) for names in (effects, files))
+        readings, now = self._received.in_order(), partial(stamp_now, self)
+        return calculation.Request(self._text, readings, model or None, named, own, magnification, now)
 
     def _done(self, outcome: calculation.Outcome) -> tuple[str, Mapping[str, object]]:
         for topic, message in outcome.messages.items():

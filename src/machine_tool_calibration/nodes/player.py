@@ -114,8 +114,7 @@ class Player(ManagedNode):
         self._period = round(1e9 / self._frequency) if self._frequency else 0
         self._last_clock: int | None = None
         self._status = StatusTopic(self, "player", clock=time.time_ns)
-        for name, action in (("pause", self._pause), ("resume", self._resume)):
-            offer(self, f"~/{name}", action)
+        offer(self, pause=self._pause, resume=self._resume)
         begin = time.monotonic_ns() + round(self._delay * 1e9)
         self._pace = Pace(self._rate, self.bag.first, begin, paused=self._paused)
         self._wait_until = 0 if self._rate else begin + _FIRST

@@ -114,14 +114,7 @@ class ProcedureNode(ManagedNode):
         self.create_subscription(JointState, "pointer/state", self._pointer_state, messages.STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, messages.LATCHED)
         self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, messages.OUTCOMES)
-        for name, handler in (
-            ("start", self._start),
-            ("pause", self._pause),
-            ("resume", self._resume),
-            ("abort", self._abort),
-            ("finish", self._finish),
-        ):
-            offer(self, f"~/{name}", handler)
+        offer(self, start=self._start, pause=self._pause, resume=self._resume, abort=self._abort, finish=self._finish)
         self.every(_TICK, self._tick)
         self._session.publish(String(data=self._text))
         self._show()

@@ -20,6 +20,7 @@ import uuid
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
@@ -57,16 +58,17 @@ class Reply:
         return response
 
 
-def offer(node: Node, name: str, handler: Callable[[], str]) -> None:
-    """Offer a `std_srvs/Trigger`, whose handler says what it did or raises what it cannot do."""
+def offer(node: Node, **handlers: Callable[[], str]) -> None:
+    """Offer `std_srvs/Trigger`s below the node's name; handlers say what they did or raise what they cannot do."""
 
-    def called(reply: Reply) -> None:
+    def called(handler: Callable[[], str], reply: Reply) -> None:
         try:
             reply.send(True, handler())
         except CalibrationError as error:
             reply.send(False, str(error))
 
-    offer_later(node, name, called)
+    for name, handler in handlers.items():
+        offer_later(node, f"~/{name}", partial(called, handler))
 
 
 def offer_later(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
@@ -205,7 +207,7 @@ class Goals:
             threading.Thread(target=self._run, args=(goal, work, done), name="calculation", daemon=True).start()
             return goal_sentence(goal.number.hex, doing)
 
-        offer(self._node, f"~/{verb}", called)
+        offer(self._node, **{verb: called})
 
     def forget(self) -> None:
         """What was calculated, or is being, is about what is gone: no sentence is left of it but its outcome."""
