@@ -298,13 +298,6 @@ class Client(AbstractContextManager["Client"]):
 
 
 def _state(node: str, kind: str, status: DiagnosticStatus, *, repeats: bool = False) -> NodeState:
-    return NodeState(
-        node=node,
-        kind=kind,
-        level=status.level[0],
-        message=status.message,
-        entries={entry.key: entry.value for entry in status.values},
-        device="" if status.hardware_id == messages.NO_HARDWARE else status.hardware_id,
-        at=time.monotonic(),
-        repeats=repeats,
-    )
+    entries = {entry.key: entry.value for entry in status.values}
+    device = "" if status.hardware_id == messages.NO_HARDWARE else status.hardware_id
+    return NodeState(node, kind, status.level[0], status.message, entries, device, time.monotonic(), repeats)
