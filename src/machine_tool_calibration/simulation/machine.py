@@ -13,15 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.simulation.motions import (
-    COMPONENTS,
-    AxisMotion,
-    Table,
-    motion_names,
-    rotate,
-    summed,
-    turn,
-)
+from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, rotate, summed, turn
 
 _SQUARENESS = re.compile(r"[ABC]0[XYZ]")
 _LINE = re.compile(r"[XYZABC]0[ABC]")
@@ -176,7 +168,7 @@ class VirtualMachine:
 
     def motion(self, name: str, position: Array) -> Array:
         """One error motion, such as `EXX`, at positions (n,) of its axis; m or rad."""
-        axis, component = name[-1], COMPONENTS.index(name[:2])
+        axis, component = name[-1], motion_names(name[-1]).index(name)
         at = np.atleast_1d(np.asarray(position, float))
         return self.motions[axis](at)[:, component] if axis in self.motions else np.zeros(len(at))
 
