@@ -94,14 +94,9 @@ def appended(
         columns["time"] = old.columns["time"].max() + np.cumsum(gaps)
         seconds = float(gaps.sum())
     last = np.array([old.repeat[old.setup == s].max(initial=-1) for s in range(int(setup.max(initial=0)) + 1)])
-    new = replace(
-        new,
-        setup=setup,
-        repeat=last[setup] + 1,
-        displacement=new.displacement if changed.displacement is None else changed.displacement,
-        columns=columns,
-        row=np.arange(len(rows), dtype=np.int64) + int(old.row.max(initial=-1)) + 1,
-    )
+    displacement = new.displacement if changed.displacement is None else changed.displacement
+    row = np.arange(len(rows), dtype=np.int64) + int(old.row.max(initial=-1)) + 1
+    new = replace(new, setup=setup, repeat=last[setup] + 1, displacement=displacement, columns=columns, row=row)
     if spec_of(session).counts_from_run:
         first = first_of_group(new.setup, new.repeat, *(new.labels[n] for n in ("target",) if n in new.labels))
         new = replace(new, displacement=new.displacement - new.displacement[first])
