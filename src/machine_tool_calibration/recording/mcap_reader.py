@@ -8,7 +8,7 @@ records are found here, chunks unpacked here, and messages, which come by the mi
 import os
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Container, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -58,9 +58,7 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-def records(
-    path: Path, stream: BinaryIO, *, start: int = len(MAGIC), skip: Collection[int] = ()
-) -> Iterator[RawRecord]:
+def records(path: Path, stream: BinaryIO, *, start: int = len(MAGIC), skip: Container[int] = ()) -> Iterator[RawRecord]:
     """All records from a byte where one begins to the file's footer, without the content of the chunks at `skip`.
 
     A RecordingError names the byte of a damage; an UnfinishedError if the file ends before the footer.
