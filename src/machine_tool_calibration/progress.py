@@ -7,5 +7,5 @@ Progress = Callable[[str, float], None]
 """Is told what is being done, and which share of it is done, from 0 to 1."""
 
 
-def untold(what: str, share: float) -> None:
+def untold(what: str, share: float | None) -> None:
     """Nobody is told."""

@@ -25,6 +25,7 @@ from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import only_if_right
+from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
 
@@ -123,7 +124,7 @@ def conformity(
     level: float = 0.95,
     budget: Budget | None = None,
     seed: int = 1,
-    progress: Progress = lambda what, share: None,
+    progress: Progress = untold,
 ) -> Conformity:
     """Hold what was identified against tolerances.
 

@@ -27,6 +27,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import changed, covariance_of, declared
+from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
@@ -197,7 +198,7 @@ def propagate(
     *,
     draws: int = 0,
     seed: int = 1,
-    progress: Progress = lambda what, share: None,
+    progress: Progress = untold,
 ) -> Budget:
     """The uncertainty of everything that is published, from contributors to the readings.
 
@@ -208,7 +209,7 @@ def propagate(
 
 def draw_readings(fitted: FittedSessions, contributors: Sequence[Contributor], draws: int, seed: int) -> Drawn:
     """Deviations of everything that is published for readings that are drawn with the contributors' values, linear."""
-    return _Propagation(fitted, contributors, seed, lambda what, share: None).drawn(draws, again=False)
+    return _Propagation(fitted, contributors, seed, untold).drawn(draws, again=False)
 
 
 class _Propagation:

@@ -2,13 +2,14 @@
 """The certificate as pages: HTML, and PDF/A-3 that holds the result for programs as well."""
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from machine_tool_calibration.certificate.dcc import dcc_text, lacks_for_dcc
 from machine_tool_calibration.certificate.particulars import Certificate
 from machine_tool_calibration.certificate.texts import facts, instruments, missing, procedure, statements
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import pdf, rendered, save_all
 from machine_tool_calibration.report.sections import Block, Section, Turnable, in_language, sections
@@ -32,7 +33,7 @@ def write_certificate(
     words: Words,
     files: Sequence[Path],
     figures: Path | None = None,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    progress: Progress = untold,
 ) -> list[Path]:
     """Write a certificate; by its ending each file is HTML, PDF/A-3 or, .xml, a Digital Calibration Certificate (DCC).
 

@@ -44,6 +44,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, 
 from machine_tool_calibration.model.fit import JointFit, changed, declared
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import map_change, map_rms
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise, noise_of, pooled
@@ -156,9 +157,7 @@ class Diagnosis:
         return first.chi_square - last.chi_square < priors.MOST_OF_THE_EXCESS * excess
 
 
-def diagnose(
-    subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
-) -> Diagnosis:
+def diagnose(subject: Session | FitRequest, *, progress: Progress = untold) -> Diagnosis:
     """Look for missing effects in one session, or in several of one machine together.
 
     Args:
@@ -199,7 +198,7 @@ def _without_gross_errors(
     return replace(chosen, sessions=tuple(map(without, chosen.sessions, aside))), aside
 
 
-def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]) -> tuple[str, ...]:
+def _without_suspects(chosen: FitRequest, progress: Progress) -> tuple[str, ...]:
     """Effects that are probable without all that may be wrong; none where nothing lies far out.
 
     Gross errors that an effect hides may in turn hide the effect, which shows among the other readings (masking).
@@ -238,9 +237,7 @@ def _alone(chosen: FitRequest, added: Sequence[str]) -> Callable[[Session], Meth
     return build
 
 
-def _search(
-    chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress: Callable[[str, float], None]
-) -> Diagnosis:
+def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress: Progress) -> Diagnosis:
     """The diagnosis of sessions without what was set aside."""
     searched, first, repeated = _first_model(chosen)
     candidates, excluded = _candidates(chosen, first)
@@ -286,7 +283,7 @@ def _candidates(chosen: FitRequest, first: FittedSessions) -> tuple[list[Candida
 
 
 def _feasible(
-    searched: FitRequest, first: FittedSessions, candidates: Sequence[Candidate], progress: Callable[[str, float], None]
+    searched: FitRequest, first: FittedSessions, candidates: Sequence[Candidate], progress: Progress
 ) -> tuple[EffectSearch, dict[str, tuple[Prediction, ...]], Added]:
     """The search among all effects but those that cannot be what is missing, as often as it finds such.
 

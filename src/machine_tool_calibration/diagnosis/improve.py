@@ -7,7 +7,7 @@ anew, as long as it leaves something and more is found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -19,6 +19,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result, fit_quality, map_change, map_rms
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.residuals.gross_errors import without
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -144,9 +145,7 @@ class Improvement:
         return self.steps[-1].result.provenance
 
 
-def improve(
-    subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
-) -> Improvement:
+def improve(subject: Session | FitRequest, *, progress: Progress = untold) -> Improvement:
     """Find the missing effects, add them one after the other, identify with each, and look again.
 
     Nothing is added unless the diagnosis names it as the cause; readings that it sets aside are left out first.
@@ -191,12 +190,12 @@ def leaves_something(found: Diagnosis) -> bool:
     return bool(found.accepted) and (fit_quality(found.fits[-1].p_value) in ("bad", "nearly") or bool(found.left))
 
 
-def _on_the_way(progress: Callable[[str, float], None], start: float, length: float, what: str, share: float) -> None:
+def _on_the_way(progress: Progress, start: float, length: float, what: str, share: float) -> None:
     """Report a share of a part of the way."""
     progress(what, start + length * share)
 
 
-def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) -> Iterator[tuple[str, FitRequest]]:
+def accepted_models(found: Diagnosis, progress: Progress) -> Iterator[tuple[str, FitRequest]]:
     """The models that a diagnosis names, each made from the one before, with what it has and that one has not.
 
     Without the readings that were set aside, if any; then with the effects found, one after the other. `progress` is

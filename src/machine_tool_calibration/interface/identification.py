@@ -40,6 +40,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import Figure, save
+from machine_tool_calibration.progress import untold
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.identification import Measured, result_parts
 from machine_tool_calibration.reports.quantities import quantity, rounded
@@ -262,12 +263,7 @@ class Fit(Answer):
         return Comparison(compare(self.result))
 
     def compare_map(
-        self,
-        other: Fit,
-        labels: tuple[str, str] = ("first", "second"),
-        *,
-        seed: int = 1,
-        progress: Progress = lambda what, share: None,
+        self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1, progress: Progress = untold
     ) -> MapComparison:
         """Hold the map against that of another measurement of the same machine, independent of this one.
 
@@ -315,7 +311,7 @@ class Fit(Answer):
         quantities: str | Sequence[str] = (),
         draws: int = 0,
         seed: int = 1,
-        progress: Progress = lambda what, share: None,
+        progress: Progress = untold,
     ) -> Budget:
         """Who contributes what to the uncertainty of everything that was identified.
 
@@ -349,7 +345,7 @@ class Fit(Answer):
         level: float = 0.95,
         budget: Budget | None = None,
         seed: int = 1,
-        progress: Progress = lambda what, share: None,
+        progress: Progress = untold,
     ) -> Conformity:
         """Whether tolerances are kept: pass, fail or undecided with the probability.
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each effect's residuals look like: one picture an effect."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -14,6 +14,7 @@ from machine_tool_calibration.files import save
 from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots import residuals
 from machine_tool_calibration.plots.style import Figure, name_axes, new_figure
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
@@ -28,9 +29,7 @@ _BINS, _LEAST_SENSITIVITY = 24, 0.5
 _DPI, _HUES = 85, 96
 
 
-def draw_gallery(
-    effects: Sequence[Effect], folder: Path, progress: Callable[[str, float], None] = lambda what, share: None
-) -> list[Path]:
+def draw_gallery(effects: Sequence[Effect], folder: Path, progress: Progress = untold) -> list[Path]:
     """Write a picture of every effect into a folder, and a page (README.md) that shows them; it is the last file.
 
     An effect that shows in no simulated plan is on the page without a picture.

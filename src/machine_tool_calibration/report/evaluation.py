@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that a report tells of a measurement, calculated."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,6 +15,7 @@ from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.session.contributor import Contributor
 
@@ -54,7 +55,7 @@ def evaluate(
     tolerances: Mapping[str, Any] | None = None,
     rule: str = "guarded",
     level: float = 0.95,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    progress: Progress = untold,
 ) -> Evaluation:
     """Calculate all of it; to look for what the model lacks (`diagnosis`) takes longest.
 

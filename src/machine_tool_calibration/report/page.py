@@ -8,6 +8,7 @@ from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.files import save
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.figures import Picture, library
 from machine_tool_calibration.report.sections import Section, Turnable, sections
@@ -21,11 +22,7 @@ _UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0), 0xFFFE, 0xFFFF} 
 
 
 def write_report(
-    found: Evaluation,
-    words: Words,
-    files: Sequence[Path],
-    figures: Path | None = None,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    found: Evaluation, words: Words, files: Sequence[Path], figures: Path | None = None, progress: Progress = untold
 ) -> list[Path]:
     """The files of a report. A CalibrationError: another ending, one that cannot be written, no Pango for PDF."""
     check_endings(files)
@@ -43,7 +40,7 @@ def save_all(
     made: Callable[[str], str | bytes],
     content: Sequence[Section],
     figures: Path | None,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> list[Path]:
     """Write files, each made by its ending, and the pictures as SVG in a folder if one is given; returns all."""
     for k, file in enumerate(files, start=1):

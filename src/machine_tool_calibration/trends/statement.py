@@ -25,6 +25,7 @@ from machine_tool_calibration.methods.identify import JointResult, fitted_sessio
 from machine_tool_calibration.methods.map_comparison import DRAWS, is_absolute, states
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import Result, beside_reversal, effect_estimates
+from machine_tool_calibration.progress import Progress, untold
 
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
@@ -44,9 +45,7 @@ class Size:
     unit: str  # SI
 
 
-def sizes_of(
-    result: Result | JointResult, progress: Callable[[str, float | None], None] = lambda what, share: None
-) -> tuple[Size, ...]:
+def sizes_of(result: Result | JointResult, progress: Callable[[str, float | None], None] = untold) -> tuple[Size, ...]:
     """All sizes that a result determines, with an uncertainty."""
     fitted = fitted_sessions(result)
     found = conformity(fitted, dict.fromkeys(_FIGURES, _ANY), progress=progress)
@@ -106,12 +105,7 @@ class Statement:
 
 
 def of_fit(
-    fitted: FittedSessions,
-    label: str,
-    *,
-    draws: int = DRAWS,
-    seed: int = 1,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    fitted: FittedSessions, label: str, *, draws: int = DRAWS, seed: int = 1, progress: Progress = untold
 ) -> Statement:
     """What an identified session states, its correlations carried by draws: each u is told to 1 / sqrt(2 draws)."""
     fitted = fitted.at_reference

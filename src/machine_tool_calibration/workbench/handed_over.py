@@ -12,6 +12,7 @@ from machine_tool_calibration.files import save
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.plots.maps import draw_compensation
 from machine_tool_calibration.plots.style import save_as
+from machine_tool_calibration.progress import Progress
 from machine_tool_calibration.report.evaluation import evaluate
 from machine_tool_calibration.report.page import write_report
 from machine_tool_calibration.reports.documents import to_json, write_table
@@ -19,7 +20,7 @@ from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.reports.result_tables import tidy
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import words
-from machine_tool_calibration.workbench.models import Model, Progress, Subject
+from machine_tool_calibration.workbench.models import Model, Subject
 
 PICTURE = "what_is_left.png"
 """Of the errors before and after."""

@@ -22,12 +22,12 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.result import ErrorMap, Result
 from machine_tool_calibration.nodes.heard import Heard, Offer, Published
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.session.collect import Reading, live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.workbench.models import Progress
 from machine_tool_calibration.workbench.process import Calculation
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ class Feed:
         try:
             asked = _session(*self.heard.session()), self._variant, self._own
             if len(asked[0].readings) > _READINGS_APART:
-                found = Calculation(partial(LiveMap.of_session, *asked)).outcome(lambda what, share: None)
+                found = Calculation(partial(LiveMap.of_session, *asked)).outcome(untold)
             else:
                 found = LiveMap.of_session(*asked)
             self.why_not = ""

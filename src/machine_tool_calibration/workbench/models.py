@@ -4,7 +4,7 @@
 What is here goes from process to process, so that the page can calculate in another one and end it.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,12 +26,12 @@ from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of
 from machine_tool_calibration.procedure import Procedure
+from machine_tool_calibration.progress import Progress
 from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
 from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 from machine_tool_calibration.words import say
 
-Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.workbench.models import Progress
+from machine_tool_calibration.progress import Progress
 
 # Processes are forked off one that has loaded what calculates and does nothing else: they are there in a few
 # milliseconds, and no thread of the page's process was in the middle of anything. Nothing of the page is loaded there.
@@ -44,7 +44,7 @@ class Calculation:
         self._ended = False
         self._lock = threading.Lock()
 
-    def outcome(self, progress: Callable[[str, float], object]) -> Any:
+    def outcome(self, progress: Progress) -> Any:
         """Do it, and wait for it.
 
         A CalibrationError or OSError that the calculation raised, or that it was ended; a FaultError if it failed

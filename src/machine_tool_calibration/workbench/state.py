@@ -15,12 +15,13 @@ from machine_tool_calibration.diagnosis.improve import entry_of
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.reports.history import fingerprint, history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
-from machine_tool_calibration.workbench.models import Model, Opened, Progress, Subject, diagnosed, improved, opened
+from machine_tool_calibration.workbench.models import Model, Opened, Subject, diagnosed, improved, opened
 
 
 def measurements_in(folder: Path) -> list[Path]:
@@ -54,7 +55,7 @@ class Job:
 
     def __call__(self) -> None:
         """Do it here and now."""
-        self.take(self.work(lambda what, share: None))
+        self.take(self.work(untold))
 
 
 class State:

@@ -125,7 +125,6 @@ class Outcomes:
 
 
 Outcome = TypeVar("Outcome")
-"""Told what is being done, and the share that is finished."""
 
 _GOALS_KEPT = 10  # goals that have ended
 
