@@ -67,6 +67,8 @@ class PitchPeriodic(AxisEffect):
     def equally(self, observations: Observations, shape: tuple[float, ...]) -> int:
         """Half the probability is that of the usual leads, the other half that of all, more of them between."""
         every, usual = self._frequencies(observations)
+        if len(every) <= _MANY_LEADS:
+            return 0
         off = float(np.abs(usual - 1.0 / shape[0]).min()) / (every[1] - every[0])
         finer = 1 if off < _ON_GRID else _FINER
         if len(usual) == len(every):

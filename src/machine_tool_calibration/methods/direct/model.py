@@ -27,7 +27,7 @@ from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.direct.nodes import asked_tables, bending_tables
-from machine_tool_calibration.methods.direct.off_the_map import off_the_map
+from machine_tool_calibration.methods.direct.off_the_map import no_smaller, off_the_map
 from machine_tool_calibration.methods.direct.own_noise import OwnNoise, own_noise
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
@@ -295,10 +295,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     # Terms of added effects follow those of the tables; of them only displacements count. What is not sensed has no
     # part in the map's least squares, and distinguishes no states of an effect.
     sensed = sensed_axes(observations.direction)
-    none = np.zeros((0, n, 3))
     terms = model.terms[len(tables) :]
     effects = [np.zeros((len(t.parameters), n, 3)) if t.field is None else t.field * sensed for t in terms]
-    first, state = first_states(observations.position, np.concatenate([none, *effects]))
+    first, state = first_states(observations.position, np.concatenate([np.zeros((0, n, 3)), *effects]))
     points = observations.position[first]
     # Many readings may be of few places.
     of_tables = map_field(tables, points) * sensed
@@ -313,11 +312,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
-    off = np.zeros_like(error)
-    np.maximum.at(
-        off, state, np.abs(off_the_map(observations, fit.residuals, model.sigma)[:, None] * observations.direction)
-    )
-    covariance += np.eye(3) * (off**2 - np.einsum("nii->ni", covariance)).clip(0.0)[:, :, None]
+    # A restated fit says what other readings do, and these are off the map as they are.
+    if fit.joint.given is None:
+        covariance = no_smaller(covariance, off_the_map(observations, fit.residuals, model.sigma), observations, state)
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     # Where no term and no effect moves any place, nothing was asked of its error.
@@ -328,13 +325,12 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error_u": uncertainty,
         "row": observations.readings.row[first],
         "approach": approach.T,
-        **(
-            {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
-        ),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
         "absolute": setups.kind == "none",
         "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,
     }
+    if not model.points:
+        content["tables"] = tables_content(model.tables, *(v[own:] for v in determined_values(fit)))
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
         runs = positioning_runs(observations)

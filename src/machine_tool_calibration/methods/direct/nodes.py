@@ -84,10 +84,16 @@ def bending_tables(
     axes = {k: parse_motion(t.name).axis for k, t in enumerate(tables) if not t.is_squareness}
     along = {k: observations.position[:, "XYZ".index(axis)] for k, axis in axes.items()}
     places = {k: distinct_nodes(x) for k, x in along.items()}
-    coarse = {k: passes_over(observations, "XYZ".index(axes[k])) for k in axes if len(places[k]) > len(tables[k].nodes)}
-    if not any(of_pass.max(initial=0) for of_pass in coarse.values()):
-        return tables
     sigma = observations.declared_sigma
+    scales = {k: tables[k].scalar(observations.position, observations.direction) / sigma for k in axes}
+    # Those that have fewer nodes than there are places, if these were read twice.
+    coarse = {
+        k: passes_over(observations, "XYZ".index(axes[k]))
+        for k, scale in scales.items()
+        if len(tables[k].nodes) < len(places[k]) <= np.count_nonzero(scale) // 2
+    }
+    if not coarse:
+        return tables
     reading = (observations.readings.displacement - setups.curvature) / sigma
     own, out = setups.of_each(observations), list(tables)
     for _ in range(_FURTHER):
@@ -97,8 +103,7 @@ def bending_tables(
         residual = reading - (basis @ reading) @ basis
         best, gained = None, 0.0
         for k, of_pass in coarse.items():
-            scale = out[k].scalar(observations.position, observations.direction) / sigma
-            node, gain = _further_node(out[k].nodes, places[k], along[k], scale, residual, basis, of_pass)
+            node, gain = _further_node(out[k].nodes, places[k], along[k], scales[k], residual, basis, of_pass)
             if gain > gained:
                 best, gained = (k, node), gain
         if best is None:

@@ -47,6 +47,14 @@ def off_the_map(observations: Observations, residuals: Array, sigma: Array) -> A
     return np.asarray(off[site])
 
 
+def no_smaller(covariance: Array, off: Array, observations: Observations, state: IntArray) -> Array:
+    """(p, 3, 3) covariances of position errors, none smaller than what the readings (n,) of its state are off by, m."""
+    least = np.zeros((len(covariance), 3))
+    np.maximum.at(least, state, np.abs(off[:, None] * observations.direction))
+    further = (least**2 - np.einsum("nii->ni", covariance)).clip(0.0)
+    return np.asarray(covariance + np.eye(3) * further[:, :, None])
+
+
 def _off(mean: Array, weight: Array, count: IntArray) -> Array:
     """(k,) the same of places in their order, from the mean of each one's readings, its weight and their number."""
     beside = np.abs(np.diff(mean)) / np.sqrt(1.0 / weight[1:] + 1.0 / weight[:-1])
