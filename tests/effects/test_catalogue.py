@@ -65,7 +65,7 @@ SHOWN: dict[str, tuple[str, float]] = {
         ("ball_bar_three_planes", 0.98, "straightness_periodic_EZX straightness_periodic_EXZ"),
         ("ball_bar_three_planes", 0.98, "straightness_periodic_EZY straightness_periodic_EYZ"),
         ("drilled_plate", 0.999, "scale C0Y"),
-        ("drilled_plate", 0.98, "pitch_periodic_x pitch_periodic_y"),
+        ("drilled_plate", 0.98, "pitch_periodic_x pitch_periodic_y second_periodic_x second_periodic_y"),
         ("drilled_plate", 0.93, "EXX EYX EXY EYY"),
     )
     for name in names.split()
@@ -74,11 +74,13 @@ SHOWN: dict[str, tuple[str, float]] = {
 TAKEN_UP = {
     "tracking_2d": [
         *("backlash_z", "thermal_expansion_z", "warmup_z", "pitch_periodic_x", "pitch_periodic_y", "pitch_periodic_z"),
-        *("scale", "pointer_zero_offset", "EXX", "EYX", "EZX", "EAX", "EBX", "ECX", "EXY", "EYY", "EZY", "EAY", "EBY"),
+        *("scale", "second_periodic_x", "second_periodic_y", "second_periodic_z"),
+        *("pointer_zero_offset", "EXX", "EYX", "EZX", "EAX", "EBX", "ECX", "EXY", "EYY", "EZY", "EAY", "EBY"),
         *("ECY", "C0Y", "pointer_axis_offset"),
     ],
     "tracking_3d": [
         *("pitch_periodic_x", "pitch_periodic_y", "pitch_periodic_z", "scale", "pointer_zero_offset", "EXZ", "EYZ"),
+        *("second_periodic_x", "second_periodic_y", "second_periodic_z"),
         *("EZZ", "EAZ", "EBZ", "ECZ", "A0Z", "B0Z", "C0Y"),
     ],
     "step_diagonal": ["mirror_misalignment", "scale", "EXX", "A0Z", "B0Z", "C0Y"],

@@ -14,7 +14,12 @@ from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
 from machine_tool_calibration.effects.linear_drift import LinearDrift
 from machine_tool_calibration.effects.lost_motion import LostMotion
 from machine_tool_calibration.effects.mirror_misalignment import MirrorMisalignment
-from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic, ReversalPeriodic, StraightnessPeriodic
+from machine_tool_calibration.effects.pitch_periodic import (
+    PitchPeriodic,
+    ReversalPeriodic,
+    SecondPeriodic,
+    StraightnessPeriodic,
+)
 from machine_tool_calibration.effects.pointer_axis_offset import PointerAxisOffset
 from machine_tool_calibration.effects.pointer_radial_error import PointerRadialError
 from machine_tool_calibration.effects.pointer_zero_offset import PointerZeroOffset
@@ -53,7 +58,7 @@ _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (Reversal, REVERSALS), (ReversalSpike, "xyz"), (ServoMismatch, "xyz"), (Vibration, "xyz"),
     (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"),
     (ScrewGrowth, "xyz"),
-    (PitchPeriodic, "xyz"), (ReversalPeriodic, "xyz"), (StraightnessPeriodic, _STRAIGHTNESS),
+    (PitchPeriodic, "xyz"), (SecondPeriodic, "xyz"), (ReversalPeriodic, "xyz"), (StraightnessPeriodic, _STRAIGHTNESS),
     RefractiveIndex, DeadPath, LinearDrift, StationDrift,
     MirrorMisalignment, PointerRadialError, PointerZeroOffset,
     PointerAxisOffset, RetroreflectorForm,

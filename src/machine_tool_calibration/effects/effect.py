@@ -62,6 +62,7 @@ class Effect(ABC):
     seldom: bool = False  # whether other causes are usual: a finer point of one, or one of a dozen of a kind
     setup_level: bool = False  # whether its coefficients belong to single setups, which then are the sample
     contains: tuple[str, ...] = ()  # ids of simpler effects that are a special case of it: a model does not hold both
+    beside: str = ""  # id of the effect beside which alone it is looked for, as it would else look the same
     chain: str = ""  # letters of linear axes that the machine must have
     moves: str = ""  # letter of one of them that must have moved in the readings
     definition: Mapping[str, Any] | None = None  # of one by formula, what makes it anew; None of one that is a class
@@ -148,7 +149,7 @@ class AxisEffect(Effect):
     def __init__(self, name: str) -> None:
         """That of one axis, or of one of its errors."""
         self.name, self.axis = name, name[-1].lower()
-        for text in ("id", "title", "formula", "chain", "moves"):
+        for text in ("id", "title", "formula", "beside", "chain", "moves"):
             setattr(self, text, self._named(getattr(self, text)))
         for texts in ("needs", "covariates", "contains"):
             setattr(self, texts, tuple(map(self._named, getattr(self, texts))))

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups, peaks
+from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.effects.effect import ONE_SIDED, AxisEffect, Coefficient, Shape, axis_unit, is_one_sided
 from machine_tool_calibration.machine.error_motions import interpolation
 from machine_tool_calibration.model.observations import Observations
@@ -25,7 +25,7 @@ _OVER_PLACES = 2.0 / 3.0
 # most, found by a spectrum so much finer, of places so many of which are a shortest wave, without what a table of so
 # many nodes takes, and what is left clipped at so many median absolute deviations.
 _STEP, _FINER, _PLACES, _NODES, _CLIPPED = 0.4, 4, 16, 6, 4.5
-_PEAKS = 3
+_PEAKS, _TRIED = 3, 16
 # Leads that are resolved, of which more than these tell a wave from one that is half a step beside it.
 _MANY_LEADS = 20
 # Share of a step by which positions may be off a grid, on which a wave of a shorter lead looks like one of a longer.
@@ -98,15 +98,23 @@ class PitchPeriodic(AxisEffect):
             seen[mine] -= table @ np.linalg.lstsq(table, seen[mine], rcond=1e-9)[0]
         most = _CLIPPED * float(np.median(np.abs(seen)))
         seen = seen.clip(-most, most)
-        width = 1.0 / (_PLACES * every[-1])
-        summed = np.bincount(np.round((x - x.min()) / width).astype(np.int64), seen)
-        step = (every[1] - every[0]) / _FINER
+        width, step = 1.0 / (_PLACES * every[-1]), (every[1] - every[0]) / _FINER
         count = round(1.0 / (step * width))
-        frequency = np.fft.rfftfreq(count, width)
-        power = np.abs(np.fft.rfft(summed, n=count)) ** 2 * ((frequency >= every[0]) & (frequency <= every[-1]))
-        strongest = frequency[peaks(power)[: len(usual) + _PEAKS]]
-        best = np.array([f for f in strongest if np.abs(usual - f).min() > 0.5 * step][:_PEAKS])
-        return np.asarray((best[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
+        frequency, place = np.fft.rfftfreq(count, width), np.round((x - x.min()) / width).astype(np.int64)
+        resolved = (frequency >= every[0]) & (frequency <= every[-1])
+        # Beside a usual one, and away from all: where an axis bends the former are more than the latter.
+        beside, away = list[float](), list[float]()
+        for _ in range(_TRIED):
+            power = np.abs(np.fft.rfft(np.bincount(place, seen), n=count))
+            best = float(frequency[np.where(resolved, power, 0.0).argmax()])
+            off = float(np.abs(usual - best).min()) / step
+            if off > 0.5:
+                (beside if off < 0.5 * _FINER else away).append(best)
+            angle = 2.0 * np.pi * best * x
+            wave = np.column_stack([np.sin(angle), np.cos(angle)]) * along[:, None] ** 2
+            seen = seen - wave @ np.linalg.lstsq(wave, seen, rcond=None)[0]
+        found = np.array([*beside[:_PEAKS], *away[:_PEAKS]])
+        return np.asarray((found[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of the position, along the axis."""
@@ -123,6 +131,14 @@ def aliases(position: Array, lead: float) -> list[float]:
     if not np.isfinite(step) or np.abs(off - np.round(off)).max() > _ON_GRID or lead <= 2.0 * step:
         return []
     return [1.0 / (1.0 / step + sign / lead) for sign in (-1.0, 1.0)]
+
+
+class SecondPeriodic(PitchPeriodic):
+    """A second one: once half a lead, or of another part of the drive, such as a motor, a gear or the scale."""
+
+    id = "second_periodic_{axis}"
+    title = say("effect.second_periodic")
+    beside = "pitch_periodic_{axis}"
 
 
 class ReversalPeriodic(PitchPeriodic):

@@ -83,8 +83,9 @@ class FitRequest:
 
     @property
     def absent(self) -> list[Effect]:
-        """All that are not in the model."""
-        return [effect for effect in self.known.values() if effect.id not in self.effects]
+        """All that may be added to the model."""
+        present = {"", *self.effects}
+        return [e for e in self.known.values() if e.id not in present and e.beside in present]
 
     def base(self, session: Session) -> Built:
         """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""

@@ -273,7 +273,9 @@ def forecast(
     progress("uncertainties", 0.2)
     result = identify(planned.session, model=model, keep_all=True)
     found = detectable(
-        result.joint, list(catalogue(own).values()), progress=lambda what, share: progress(what, 0.3 + 0.55 * share)
+        result.joint,
+        [e for e in catalogue(own).values() if not e.beside],
+        progress=lambda what, share: progress(what, 0.3 + 0.55 * share),
     )
     progress("what dominates", 0.85)
     limits = dominant(planned.session, model=model, angular=angular, drift=DRIFT * abs(warming))

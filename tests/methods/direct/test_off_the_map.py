@@ -6,6 +6,7 @@ import pytest
 from tests import plates
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.methods.identify import identify
 
 U = 3e-7
@@ -69,3 +70,12 @@ def test_a_wave_between_the_tried_ones_is_one_of_the_axis(period: float) -> None
     assert found.accepted == ("pitch_periodic_x",)
     lead = found.search.of("pitch_periodic_x").shape[0]
     assert lead == pytest.approx(5e-3 * period, rel=0.01)
+
+
+def test_a_second_wave_is_found_beside_the_first_and_none_where_there_is_none() -> None:
+    first, second = (size * np.sin(2.0 * np.pi * X / lead) for size, lead in ((2e-6, 0.02), (4e-7, 0.0483)))
+    found = improve(scan(SMOOTH + first + second, X, 1))
+    assert found.accepted == ("pitch_periodic_x", "second_periodic_x")
+    leads = {p.name: p.value for p in found.steps[-1].result.parameters if p.name.endswith(".lead")}
+    assert leads == pytest.approx({"pitch_periodic_x.lead": 0.02, "second_periodic_x.lead": 0.0483}, rel=0.01)
+    assert improve(scan(SMOOTH + first, X, 1)).accepted == ("pitch_periodic_x",)
