@@ -49,6 +49,7 @@ def test_what_one_pass_shows_has_none() -> None:
     assert nodes[0] == nodes[1] == 21
 
 
+@pytest.mark.long
 def test_a_wave_beside_a_steep_end_is_found() -> None:
     wave = 6e-7 * np.sin(2.0 * np.pi * X / 0.0327 + 0.4)
     found = diagnose(scan(SMOOTH + STEEP + wave, X, 2))
@@ -56,12 +57,14 @@ def test_a_wave_beside_a_steep_end_is_found() -> None:
     assert found.search.of("pitch_periodic_x").shape[0] == pytest.approx(0.0327, rel=0.01)
 
 
+@pytest.mark.long
 def test_noise_alone_widens_nothing() -> None:
     x = np.linspace(0.0, 2.0, 401)
     widest = [identify(scan(3e-6 * np.sin(3.0 * x), x, 2, seed)).error_map.uncertainty[:, 0].max() for seed in range(6)]
     assert max(widest) < U / 2.0  # ten readings and more tell a node
 
 
+@pytest.mark.long(but=("20.26",))
 @pytest.mark.parametrize("period", [20.26, 23.7])
 def test_a_wave_between_the_tried_ones_is_one_of_the_axis(period: float) -> None:
     """In a single scan time is the place, and waves in time are tried more finely; in so many steps of 5 mm."""
@@ -72,6 +75,7 @@ def test_a_wave_between_the_tried_ones_is_one_of_the_axis(period: float) -> None
     assert lead == pytest.approx(5e-3 * period, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_second_wave_is_found_beside_the_first_and_none_where_there_is_none() -> None:
     first, second = (size * np.sin(2.0 * np.pi * X / lead) for size, lead in ((2e-6, 0.02), (4e-7, 0.0483)))
     found = improve(scan(SMOOTH + first + second, X, 1))

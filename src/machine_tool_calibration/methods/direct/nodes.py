@@ -20,9 +20,11 @@ _NODES_OF_MANY, _NODES_OF_FEW = 21, 5
 _MOST_NODES = 101
 # Share of readings that nodes may take, so that the others check them.
 _CHECKED = 2 / 3
-# Further nodes at most, and what one gains at least: in chi-square, and over what it gains in the middle of the others,
-# as a wave bends a table everywhere alike and is an effect, with the median of chi-square with one degree of freedom.
-_FURTHER, _GAIN, _MEDIAN = 20, 16.0, 0.455
+# Further nodes at most, and what one gains at least: in chi-square, and over twice the median that chi-square with one
+# degree of freedom has, where that of all others is more. A wave bends a table everywhere alike, and is an effect.
+_FURTHER, _GAIN, _MEDIAN = 20, 12.0, 2 * 0.455
+# Passes up to which each has its own line.
+_MOST_PASSES = 24
 # Share of the gain that is left without the pass that shows most of it: a step in time is in one pass.
 _IN_OTHERS = 0.25
 # Standard deviations beyond which a residual counts as if it were there, and one over a median absolute deviation.
@@ -95,7 +97,13 @@ def bending_tables(
     if not coarse:
         return tables
     reading = (observations.readings.displacement - setups.curvature) / sigma
-    own, out = setups.of_each(observations), list(tables)
+    # A reversal and a drift: what a pass is off by, and its slope.
+    lines = [
+        np.concatenate([which, which * along[k]]) * scales[k] * sigma
+        for k, of_pass in coarse.items()
+        if len(which := np.equal.outer(np.unique(of_pass), of_pass).astype(np.float64)) <= _MOST_PASSES
+    ]
+    own, out = np.concatenate([setups.of_each(observations), *lines]), list(tables)
     for _ in range(_FURTHER):
         columns = np.concatenate([own, *(table.term(observations).columns for table in out)]) / sigma
         inner = columns @ columns.T

@@ -16,7 +16,7 @@ from machine_tool_calibration.model.observations import Observations
 # is wrong would widen the map.
 _TOGETHER, _FEWEST = (1, 2, 3, 5, 9), 2
 # Probability with which noise alone is somewhere as far off the map.
-_BY_CHANCE = 0.01
+_BY_CHANCE = 0.05
 # A normal distribution's standard deviation over its median absolute deviation.
 _NORMAL = 1.4826
 
