@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes import measurement
@@ -28,6 +29,23 @@ def since_first(operator, displacement):
     for setup, value in zip(setups, displacement, strict=True):
         first.setdefault(setup, value)
     return displacement - np.array([first[setup] for setup in setups])
+
+
+@pytest.mark.parametrize(
+    ("asked", "why"),
+    [
+        ({"model": "rigid_bdy"}, "has no model 'rigid_bdy' .did you mean 'rigid_body'"),
+        ({"model": "circle"}, "has no model 'circle'; known are free, rigid_body"),
+        ({"effects": ("backlsh_x",)}, "unknown effect 'backlsh_x' .did you mean 'backlash_x'"),
+    ],
+)
+def test_what_cannot_be_identified_is_refused_before_anything_moves(tmp_path, asked, why):
+    file = tmp_path / "procedure.yaml"
+    file.write_text(yaml.safe_dump(PROCEDURE), encoding="utf-8")
+    output = tmp_path / "out"
+    with pytest.raises(CalibrationError, match=why):
+        measurement.measure(file, measurement.Setting(output=output, **asked))
+    assert not output.exists()
 
 
 @pytest.mark.long

@@ -19,7 +19,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 
 from machine_tool_calibration.nodes.__main__ import main
-from machine_tool_calibration.nodes.graph import Graph
+from machine_tool_calibration.nodes.graph import Graph, _interrupted_later
 from machine_tool_calibration.nodes.ros.process import SAVE_GRACE, STOP_GRACE
 
 from .conftest import PATIENCE, ask, begin
@@ -28,6 +28,14 @@ from .forked import Forked
 CONFIG = Path(__file__).parents[2] / "config"
 
 NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
+
+
+def test_ctrl_c_while_a_process_is_started_comes_when_it_is():
+    done = []
+    with pytest.raises(KeyboardInterrupt), _interrupted_later():
+        signal.raise_signal(signal.SIGINT)
+        done.append("started")
+    assert done == ["started"] and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.long

@@ -25,6 +25,15 @@ def model_names(method: str | None = None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(variant for name in chosen for variant in method_spec(name).models))
 
 
+def model_of(method: str, name: str | None = None) -> str:
+    """The name of a method's model, by default its first one's; a ModelError if it has none of that name."""
+    models = method_spec(method).models
+    if (name := name or next(iter(models))) not in models:
+        hint = did_you_mean(name, models)
+        raise ModelError(f"{method} has no model {name!r}{hint}; known are {', '.join(models)}")
+    return name
+
+
 def sharing_variant(session: Session, model: str | None) -> str | None:
     """The variant of a session's model in a fit of several: what was asked for, else tables that others can share."""
     return model if model in spec_of(session).together else spec_of(session).tables
@@ -35,11 +44,7 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
 
     A ModelError: no such model for this method, no reading, or the data does not allow it.
     """
-    models = spec_of(session).models
-    name = model or next(iter(models))
-    if name not in models:
-        hint = did_you_mean(name, models)
-        raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
+    name = model_of(session.method, model)
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
     built: MethodModel = load(spec_of(session).model).build(session, name)

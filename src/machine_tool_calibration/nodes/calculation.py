@@ -305,7 +305,8 @@ def improved(request: Request, progress: Progress) -> Outcome:
     }
     residual = f"{micrometres(before)} -> {micrometres(after)} µm RMS residual"
     messages |= {**_map(request, last.result), "improvement/result": _text(improvement_document(steps))}
-    words = f"improved by {', '.join(steps.accepted) or 'nothing'}: {residual}"
+    found = f"improved by {', '.join(steps.accepted)}" if steps.accepted else "nothing was found to add"
+    words = f"{found}: {residual}"
     return Outcome(words, values, messages, effects=effects)
 
 

@@ -14,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -37,6 +38,22 @@ _POLL = 0.02  # s
 _STAMP = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^]]*\]: ")  # before what a node's log says
 _GRACE = 3.0  # s in which a node ends by itself after SIGINT
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
+
+
+@contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Ctrl-C comes when this is over: an exception in what Python calls when a process forks is lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pressed = list[int]()
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        for number in pressed[:1]:
+            signal.raise_signal(number)
 
 
 class Graph:
@@ -88,7 +105,7 @@ class Graph:
         # small matrices and several processes: more threads only get in each other's way
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self._domain), "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
-        with (self.folder / f"{name}.log").open("ab") as file:
+        with (self.folder / f"{name}.log").open("ab") as file, _interrupted_later():
             self._running[name] = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,

@@ -19,9 +19,10 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
-from machine_tool_calibration.effects.catalogue import own_effects
+from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.files import save
+from machine_tool_calibration.methods.build import model_of
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
@@ -150,6 +151,9 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     procedure = read_procedure(file)
     if setting.parameters is not None and not setting.parameters.is_file():
         raise CalibrationError(f"{setting.parameters}: no such file")
+    if setting.identify:  # what could not be identified is refused before anything moves
+        model_of(procedure.session.method, setting.model)
+        find_effects(setting.effects)
     output, total = setting.output, len(plan(procedure).steps)
     nodes, begin = _nodes(setting, file, procedure), time.monotonic()
     with claimed_domain(setting.domain, setting.namespace) as domain:

@@ -160,7 +160,8 @@ class ProcedureNode(ManagedNode):
 
     def _finish(self) -> str:
         if self.sequencer.state is not State.PAUSED:
-            raise CalibrationError(f"the procedure is {self.sequencer.state}; pause it first")
+            hint = "; pause it first" if self.sequencer.state is State.RUNNING else ""
+            raise CalibrationError(f"the procedure is {self.sequencer.state}{hint}")
         self.sequencer.finish()
         return self.sequencer.message
 

@@ -37,7 +37,7 @@ def test_what_both_passes_show_has_nodes_of_its_own(bend: np.ndarray) -> None:
     found = identify(scan(SMOOTH + bend, X, 2)).error_map
     off = found.error[:, 0] - SMOOTH - bend
     assert np.sqrt(np.mean(off**2)) < 0.5 * U
-    assert np.abs(off).max() < 3.0 * U
+    assert np.abs(off).max() < 4.0 * U  # evenly spread ones are off by 20 U
 
 
 def test_what_one_pass_shows_has_none() -> None:
