@@ -13,6 +13,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.effects.effect import unrecorded
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.goodness import effect_words, free_words, scatter_words
@@ -76,6 +77,7 @@ def verdict_words(
         yield say("diagnosis.refused", effect=_title(diagnosis, name), p=p, why=why)
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
+    yield from _may_be_of_an_axis(diagnosis)
     if diagnosis.gross_errors and diagnosis.verdict != "outliers":
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.with_found.joint.marginal.sizes])
@@ -306,6 +308,23 @@ def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
     if found and lacking:
         names, columns = together(found, say("text.and")), together(sorted(lacking), ", ")
         yield say("diagnosis.unrecorded", names=names, columns=columns, n=len(lacking))
+
+
+def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
+    """Of what goes with the time: that it may as well go with the place, or with a reversal that was not recorded."""
+    found = any(diagnosis.search.of(name).candidate.takes_time for name in diagnosis.accepted)
+    if not found and "time" not in [structure.covariate for structure in diagnosis.left[:1]]:
+        return
+    for observed in (fit.model.observations for fit in diagnosis.with_found.joint.fits):
+        if not spec_of(observed.session).reads_machine:
+            continue
+        moves = {axis: np.diff(observed.position[:, j]) for j, axis in enumerate("xyz")}
+        moved = {axis: way for axis, way in moves.items() if np.abs(way).max(initial=0.0) > SAME_POSITION}
+        for axis, way in moved.items():
+            if len(moved) == 1 and abs(np.sign(way).sum()) == len(way):
+                yield say("diagnosis.time_is_place", axis=axis)
+            elif diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}") and (way < 0.0).any():
+                yield say("diagnosis.unrecorded_direction", axis=axis)
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
