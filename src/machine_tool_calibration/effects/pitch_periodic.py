@@ -113,8 +113,8 @@ class PitchPeriodic(AxisEffect):
             angle = 2.0 * np.pi * best * x
             wave = np.column_stack([np.sin(angle), np.cos(angle)]) * along[:, None] ** 2
             seen = seen - wave @ np.linalg.lstsq(wave, seen, rcond=None)[0]
-        found = np.array([*beside[:_PEAKS], *away[:_PEAKS]])
-        return np.asarray((found[:, None] + step * np.array([-2.0, 0.0, 2.0])).ravel())
+        found = np.add.outer([*beside[:_PEAKS], *away[:_PEAKS]], step * np.array([-2.0, 0.0, 2.0])).ravel()
+        return np.asarray(found[(found >= every[0]) & (found <= every[-1])])
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of the position, along the axis."""

@@ -313,7 +313,8 @@ def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
 def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
     """Of what goes with the time: that it may as well go with the place, or with a reversal that was not recorded."""
     found = any(diagnosis.search.of(name).candidate.takes_time for name in diagnosis.accepted)
-    if not found and "time" not in [structure.covariate for structure in diagnosis.left[:1]]:
+    nothing = diagnosis.verdict in ("adequate", "outliers")
+    if nothing or (not found and "time" not in [structure.covariate for structure in diagnosis.left[:1]]):
         return
     for observed in (fit.model.observations for fit in diagnosis.with_found.joint.fits):
         if not spec_of(observed.session).reads_machine:
