@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -152,6 +153,17 @@ def test_the_rate_is_kept(tmp_path: Path, play) -> None:
     assert operator.wait(lambda: len(heard.values) == 21, PATIENCE)
     assert time.monotonic() - begin >= 4.0 / 4.0
     assert heard.values == [float(k) for k in range(21)]
+
+
+def test_as_fast_as_possible_hundreds_are_sent_at_once() -> None:
+    one, sent = player.Player.__new__(player.Player), list[int]()  # no node is needed for what is due
+    one._pace, one._wait_until, one.sent = player.Pace(0.0, 0, 0), 0, 0
+    one._time_topic, one._period, one._last_clock = None, 0, None
+    one._outlets = {"/a": SimpleNamespace(send=sent.append)}
+    one._messages = (SimpleNamespace(topic="/a", data=k, log_time=1000 * k) for k in range(2000))
+    one._next = next(one._messages)
+    one._tick()
+    assert sent == list(range(player._MESSAGES_AT_ONCE))
 
 
 def test_as_fast_as_possible_waits_for_whoever_comes_a_little_later(tmp_path: Path, play) -> None:

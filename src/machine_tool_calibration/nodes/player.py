@@ -165,7 +165,7 @@ class Player(ManagedNode):
                 message = self._next
                 if message is None or not self._pace.is_due(message.log_time, now):
                     return
-                self._advance(message)
+                self._advance(message, now)
         except RecordingError as error:
             self.trouble = str(error)
             self.get_logger().error(self.trouble)
@@ -184,9 +184,9 @@ class Player(ManagedNode):
         self.heard = self.heard or any(o.publisher.get_subscription_count() for o in self._outlets.values())
         return self.heard
 
-    def _advance(self, message: Message) -> None:
+    def _advance(self, message: Message, now: int) -> None:
         if not self._pace.rate:
-            self._pace.set(message.log_time, time.monotonic_ns())
+            self._pace.set(message.log_time, now)  # not later, when nothing more would be due
         if self._last_clock is None or message.log_time - self._last_clock >= self._period:
             self._tell_time(message.log_time)
         self._outlets[message.topic].send(message.data)
