@@ -157,10 +157,15 @@ def fitted(plan: str) -> Fit:
     return fit_models([build_model(clean(plan))[0]]).fits[0]
 
 
+def flaw_of(effect: str) -> str:
+    """What simulates an effect: a second wave as the first one."""
+    return effect.replace("second_periodic", "pitch_periodic")
+
+
 @cache
 def change(effect: str, plan: str) -> np.ndarray:
     """Readings with the effect minus readings without it, from exact geometry."""
-    changed = spec(plan, 7, noise_factor=0.0, effects=(FlawSpec(id=effect, amplitude=3e-6),))
+    changed = spec(plan, 7, noise_factor=0.0, effects=(FlawSpec(id=flaw_of(effect), amplitude=3e-6),))
     return simulate(changed).session.readings.displacement - clean(plan).readings.displacement
 
 
@@ -181,7 +186,7 @@ def test_nonlinear_coefficients_against_finite_differences(name: str) -> None:
 def injected(name: str, plan: str, sigmas: float = 30.0, seed: int = 7) -> Session:
     """A session with the effect so large that it stands out by so many standard uncertainties."""
     strength = float(np.sqrt(screen(fitted(plan), change(name, plan)[None]).gram[0, 0]))
-    return simulate(spec(plan, seed, effects=(FlawSpec(id=name, amplitude=3e-6 * sigmas / strength),))).session
+    return simulate(spec(plan, seed, effects=(FlawSpec(id=flaw_of(name), amplitude=3e-6 * sigmas / strength),))).session
 
 
 @cache

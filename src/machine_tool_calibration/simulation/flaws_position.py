@@ -189,7 +189,6 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
     *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
     *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
-    *_along("second_periodic", _WAVES, 1e-6, _pitch, {"lead": 0.008}, drawn_phase),
     *_along("reversal_periodic", f"dir_{{a}} * {_WAVES}", 1.5e-6, _cogging, {"lead": 0.012}, drawn_phase),
     # a screw that is not straight moves the carriage aside once a lead
     *(_carriage("straightness_periodic", name, _WAVES, _pitch, {"lead": 0.012}, drawn_phase, methods=CIRCLE)

@@ -28,7 +28,7 @@ _MOST_PASSES = 24
 # Share of the gain that is left without the pass that shows most of it: a step in time is in one pass.
 _IN_OTHERS = 0.25
 # Standard deviations beyond which a residual counts as if it were there, and one over a median absolute deviation.
-_CLIPPED, _NORMAL = 3.0, 1.4826
+_CLIPPED, _NORMAL = 5.0, 1.4826
 
 
 def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Array:

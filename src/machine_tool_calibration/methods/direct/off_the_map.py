@@ -1,35 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""By how much the readings about a place are together off the map.
+"""By how much the readings about a place are together off the map, and what tables leave of a curve between nodes.
 
 A table with straight lines between its nodes does not follow an axis that bends between two of them, and a motion that
 is not in the model is in no table: the map is off by what the readings show there, whatever their scatter. This is a
 known bias that is not corrected for, and the uncertainty of the place is no smaller (GUM:1995, F.2.4.5).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import ndtri
 
 from machine_tool_calibration.arrays import Array, IntArray, groups, unsigned
+from machine_tool_calibration.machine.error_motions import off_a_line, parse_motion
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.rigid_body import MachineTable
 
 # Neighbouring places whose readings are taken together, and how many readings these have at least: a single one that
 # is wrong would widen the map.
 _TOGETHER, _FEWEST = (1, 2, 3, 5, 9), 2
+# Values of a table from which it is told how it bends.
+_BENDS = 4
 # Probability with which noise alone is somewhere as far off the map.
 _BY_CHANCE = 0.05
 # A normal distribution's standard deviation over its median absolute deviation.
 _NORMAL = 1.4826
 
 
-def off_the_map(observations: Observations, residuals: Array, sigma: Array) -> Array:
-    """(n,) what the readings of the place of each and of places beside it are off by, m.
-
-    0 where noise explains it: the declared uncertainty, or more where readings next to each other differ by more.
+def widened(
+    covariance: Array,
+    model: MethodModel,
+    residuals: Array,
+    tables: tuple[Sequence[MachineTable], Array],
+    state: IntArray,
+) -> Array:
+    """(p, 3, 3) covariances of the position errors of states, with what the map is off there.
 
     Args:
-        observations: the readings.
+        covariance: as the readings' noise makes it, m^2.
+        model: the readings, and by what uncertainty each counts.
         residuals: (n,) measured minus predicted, m.
-        sigma: (n,) standard uncertainty by which each reading counts, m.
+        tables: the machine errors in the model, and the values (K,) of their unknowns.
+        state: (n,) the state of each reading.
+    """
+    observations = model.observations
+    first = np.unique(state, return_index=True)[1]
+    off, most = np.zeros((2, len(covariance), 3))
+    for out, found in zip((off, most), _off_the_map(observations, residuals, model.sigma), strict=True):
+        np.maximum.at(out, state, np.abs(found[:, None] * observations.direction))
+    bend = np.minimum(_between_nodes(*tables, observations.position[first]), most)
+    covariance = covariance + np.eye(3) * (bend**2)[:, :, None]
+    further = (off**2 - np.einsum("nii->ni", covariance)).clip(0.0)
+    return np.asarray(covariance + np.eye(3) * further[:, :, None])
+
+
+def _off_the_map(observations: Observations, residuals: Array, sigma: Array) -> tuple[Array, Array]:
+    """(n,) what the readings of the place of each and of places beside it are off by, and (n,) may be off by, m.
+
+    The former is 0 where noise explains it: the declared uncertainty, or more where readings next to each other differ
+    by more. The latter is the mean of the place's own readings and its standard uncertainty.
     """
     senses = unsigned(observations.direction)
     along = np.sign(np.einsum("nj,nj->n", senses, observations.direction))
@@ -44,15 +74,26 @@ def off_the_map(observations: Observations, residuals: Array, sigma: Array) -> A
     for one in range(int(line.max(initial=-1)) + 1):
         mine = of_line == one
         off[mine] = _off(mean[mine], total[mine], count[mine])
-    return np.asarray(off[site])
+    return off[site], np.sqrt(mean**2 + 1.0 / total)[site]
 
 
-def no_smaller(covariance: Array, off: Array, observations: Observations, state: IntArray) -> Array:
-    """(p, 3, 3) covariances of position errors, none smaller than what the readings (n,) of its state are off by, m."""
-    least = np.zeros((len(covariance), 3))
-    np.maximum.at(least, state, np.abs(off[:, None] * observations.direction))
-    further = (least**2 - np.einsum("nii->ni", covariance)).clip(0.0)
-    return np.asarray(covariance + np.eye(3) * further[:, :, None])
+def _between_nodes(tables: Sequence[MachineTable], theta: Array, points: Array) -> Array:
+    """(p, 3) what the straight lines between nodes are off curves that bend as the values (K,) at the nodes do, m.
+
+    By a second derivative; 0 at the nodes themselves.
+    """
+    squares, first = np.zeros((len(points), 3)), 0
+    for table in tables:
+        values, nodes = theta[first : first + len(table.parameters)], table.nodes
+        first += len(values)
+        if len(values) < _BENDS:
+            continue
+        slope, step = np.diff(values) / np.diff(nodes), np.diff(nodes)
+        inner = np.abs(np.diff(slope)) / (step[1:] + step[:-1]) * 2.0
+        bend = np.maximum(np.append(inner[:1], inner), np.append(inner, inner[-1:]))  # (k - 1,) of each section
+        right, lever = off_a_line(nodes, points[:, "XYZ".index(parse_motion(table.name).axis)])
+        squares += (table.field(points) * (lever * bend[right - 1])[:, None]) ** 2
+    return np.sqrt(squares)
 
 
 def _off(mean: Array, weight: Array, count: IntArray) -> Array:
