@@ -126,7 +126,8 @@ def flaw_of(name: str, plan: str) -> Chosen:
         more = {**more, "about": "zero"}
     if name == "pointer_axis_offset" and not plan.startswith("tracking"):
         more = {"beam": 1e-3}  # of a beam that follows the target
-    return choose_flaw(name, SIZES.get(name), more, 3)
+    # A second wave is simulated as the first one.
+    return choose_flaw(name.replace("second_periodic", "pitch_periodic"), SIZES.get(name), more, 3)
 
 
 def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float], tuple[float, ...]]:

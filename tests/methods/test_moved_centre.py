@@ -23,7 +23,7 @@ def moved(size: float, seed: int, *effects: FlawSpec) -> Diagnosis:
     return diagnose(session.with_readings(replace(readings, displacement=readings.displacement + change)))
 
 
-@pytest.mark.long(but=("1",))
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_it_is_told_as_what_it_is(seed: int) -> None:
     found = moved(3e-6, seed)
