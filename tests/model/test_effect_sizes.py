@@ -110,6 +110,11 @@ def test_the_smallest_signal_is_found_beside_directions_that_tell_far_more() -> 
     assert np.mean(np.log(evidence) > 3.0) == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / 20000))
 
 
+def test_the_smallest_signal_in_a_direction_that_hardly_tells_is_a_number() -> None:
+    hardly, well = (smallest_signal(np.array([along, 8e5]), along, 6.0, 0.8) for along in (2.7e-24, 8e5))
+    assert np.isfinite(hardly) and hardly > 1e6 * well
+
+
 @pytest.mark.parametrize("largest", [1.5, 30.0, 4000.0])
 @pytest.mark.parametrize("needed", [-0.5, 0.0, 3.0, 9.0])
 def test_the_smallest_signal_is_found_as_often_as_it_says(largest: float, needed: float) -> None:

@@ -25,7 +25,8 @@ _OVER_PLACES = 2.0 / 3.0
 # most, found by a spectrum so much finer, of places so many of which are a shortest wave, without what a table of so
 # many nodes takes, and what is left clipped at so many median absolute deviations.
 _STEP, _FINER, _PLACES, _NODES, _CLIPPED = 0.4, 4, 16, 6, 4.5
-_PEAKS, _TRIED = 3, 16
+# Of either kind at most; waves that are looked at for them, or fewer where spectra have very many numbers together.
+_PEAKS, _TRIED, _NUMBERS = 3, 16, 1 << 24
 # Leads that are resolved, of which more than these tell a wave from one that is half a step beside it.
 _MANY_LEADS = 20
 # Share of a step by which positions may be off a grid, on which a wave of a shorter lead looks like one of a longer.
@@ -104,7 +105,7 @@ class PitchPeriodic(AxisEffect):
         resolved = (frequency >= every[0]) & (frequency <= every[-1])
         # Beside a usual one, and away from all: where an axis bends the former are more than the latter.
         beside, away = list[float](), list[float]()
-        for _ in range(_TRIED):
+        for _ in range(min(_TRIED, max(_PEAKS, _NUMBERS // count))):
             power = np.abs(np.fft.rfft(np.bincount(place, seen), n=count))
             best = float(frequency[np.where(resolved, power, 0.0).argmax()])
             off = float(np.abs(usual - best).min()) / step

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chndtrinc, logsumexp
+from scipy.special import chndtrinc, logsumexp, ndtri
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
@@ -23,6 +23,8 @@ from machine_tool_calibration.model.model import Kind, Parameter
 
 # Most of Newton's steps.
 _STEPS = 60
+# Statistic beyond which the square of a normal value exceeds it from one side only.
+_FAR = 1e3
 
 
 @dataclass(frozen=True)
@@ -137,5 +139,7 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = p
         if abs(step) <= 1e-9 * limit:
             break
         limit -= step
-    # The square of a normal value around the signal exceeds it with this power.
+    # The square of a normal value around the signal exceeds it with this power; far out from one side alone.
+    if limit > _FAR:
+        return float(np.sqrt(limit) + ndtri(power))
     return float(np.sqrt(chndtrinc(limit, 1.0, 1.0 - power)))

@@ -69,11 +69,10 @@ def _off_the_map(observations: Observations, residuals: Array, sigma: Array) -> 
     count, total = np.bincount(site), np.bincount(site, weight)
     mean = np.bincount(site, weight * along * residuals) / total
     of_line = np.zeros(len(count), dtype=np.int64)
-    of_line[site] = line
-    off = np.zeros(len(count))
-    for one in range(int(line.max(initial=-1)) + 1):
-        mine = of_line == one
-        off[mine] = _off(mean[mine], total[mine], count[mine])
+    of_line[site] = line  # in increasing order, as sites are numbered line by line
+    ends = np.flatnonzero(np.diff(of_line)) + 1
+    each = zip(*(np.split(values, ends) for values in (mean, total, count)), strict=True)
+    off = np.concatenate([_off(*own) for own in each])
     return off[site], np.sqrt(mean**2 + 1.0 / total)[site]
 
 
