@@ -3,6 +3,7 @@
 
 import copy
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -46,6 +47,18 @@ def test_what_cannot_be_identified_is_refused_before_anything_moves(tmp_path, as
     with pytest.raises(CalibrationError, match=why):
         measurement.measure(file, measurement.Setting(output=output, **asked))
     assert not output.exists()
+
+
+def test_an_effect_of_the_users_own_may_be_in_a_file_that_the_parameters_name(tmp_path, monkeypatch):
+    """Then the estimator alone knows it: the graph is started."""
+    file, parameters = tmp_path / "procedure.yaml", tmp_path / "nodes.yaml"
+    file.write_text(yaml.safe_dump(PROCEDURE), encoding="utf-8")
+    parameters.write_text("/**/estimator: {ros__parameters: {effects_files: [own.yaml]}}", encoding="utf-8")
+    monkeypatch.setattr(measurement, "claimed_domain", MagicMock(side_effect=CalibrationError("it would start")))
+    setting = measurement.Setting(output=tmp_path / "out", effects=("settling",), parameters=parameters)
+    (tmp_path / "out").mkdir()
+    with pytest.raises(CalibrationError, match="it would start"):
+        measurement.measure(file, setting)
 
 
 @pytest.mark.long

@@ -153,7 +153,8 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         raise CalibrationError(f"{setting.parameters}: no such file")
     if setting.identify:  # what could not be identified is refused before anything moves
         model_of(procedure.session.method, setting.model)
-        find_effects(setting.effects)
+        if setting.parameters is None:  # which may name files of the user's own effects
+            find_effects(setting.effects)
     output, total = setting.output, len(plan(procedure).steps)
     nodes, begin = _nodes(setting, file, procedure), time.monotonic()
     with claimed_domain(setting.domain, setting.namespace) as domain:
