@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, IntArray, rms
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, IntArray, rms
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.error_motions import interpolation, off_a_line
@@ -31,7 +31,6 @@ from machine_tool_calibration.trends.statement import Part, Statement
 SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
 _JUMP = 3.0  # changes that are so many times the median one are counted as that
-_MEDIAN = 0.4549  # median of the square of a standard normal number
 _SAME_POSITION = 1e-9  # positions that are one, m or rad
 
 
@@ -161,7 +160,7 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
         changes, expected = np.diff(value, axis=0), u[1:] ** 2 + u[:-1] ** 2
         known = np.isfinite(changes) & np.isfinite(expected) & (expected > 0)
         if known.any():
-            typical = float(np.median(changes[known] ** 2)) / _MEDIAN
+            typical = float(np.median(changes[known] ** 2)) / NORMAL_MEDIAN**2
             more = max(typical - float(np.median(expected[known])), 0.0)
             courses = np.where(known, changes, 0.0) * np.sqrt(more / max(typical, np.finfo(float).tiny))
             own = np.array([rms(course) for course in courses])

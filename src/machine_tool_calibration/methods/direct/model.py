@@ -27,7 +27,7 @@ from machine_tool_calibration.methods.build import linear_part
 from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.direct.nodes import asked_tables, bending_tables
-from machine_tool_calibration.methods.direct.off_the_map import widened
+from machine_tool_calibration.methods.direct.off_the_map import between_nodes, widened
 from machine_tool_calibration.methods.direct.own_noise import OwnNoise, own_noise
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
@@ -314,7 +314,8 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     # A restated fit says what other readings do, and these are off the map as they are.
     if fit.joint.given is None:
-        covariance = widened(covariance, model, fit.residuals, (model.tables, fit.theta[mine]), state)
+        bend = between_nodes(model.tables, fit.theta[mine], points)
+        covariance = widened(covariance, bend, model, fit.residuals, state)
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     # Where no term and no effect moves any place, nothing was asked of its error.

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, inverse_root
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, IntArray, inverse_root
 from machine_tool_calibration.estimation.solve import LEAST_EIGENVALUE
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
@@ -22,13 +22,13 @@ _MOST_NODES = 101
 _CHECKED = 2 / 3
 # Further nodes at most, and what one gains at least: in chi-square, and over twice the median that chi-square with one
 # degree of freedom has, where that of all others is more. A wave bends a table everywhere alike, and is an effect.
-_FURTHER, _GAIN, _MEDIAN = 20, 12.0, 2 * 0.455
+_FURTHER, _GAIN, _MEDIAN = 20, 12.0, 2.0 * NORMAL_MEDIAN**2
 # Passes up to which each has its own line.
 _MOST_PASSES = 24
 # Share of the gain that is left without the pass that shows most of it: a step in time is in one pass.
 _IN_OTHERS = 0.25
-# Standard deviations beyond which a residual counts as if it were there, and one over a median absolute deviation.
-_CLIPPED, _NORMAL = 5.0, 1.4826
+# Standard deviations beyond which a residual counts as if it were there.
+_CLIPPED = 5.0
 
 
 def nodes_from(positions: Array, count: float, many: int = _NODES_OF_MANY) -> Array:
@@ -86,20 +86,20 @@ def bending_tables(
     axes = {k: parse_motion(t.name).axis for k, t in enumerate(tables) if not t.is_squareness}
     along = {k: observations.position[:, "XYZ".index(axis)] for k, axis in axes.items()}
     places = {k: distinct_nodes(x) for k, x in along.items()}
-    sigma = observations.declared_sigma
-    scales = {k: tables[k].scalar(observations.position, observations.direction) / sigma for k in axes}
+    unit = {k: tables[k].scalar(observations.position, observations.direction) for k in axes}
     # Those that have fewer nodes than there are places, if these were read twice.
     coarse = {
         k: passes_over(observations, "XYZ".index(axes[k]))
-        for k, scale in scales.items()
-        if len(tables[k].nodes) < len(places[k]) <= np.count_nonzero(scale) // 2
+        for k in axes
+        if len(tables[k].nodes) < len(places[k]) <= np.count_nonzero(unit[k]) // 2
     }
     if not coarse:
         return tables
+    sigma = observations.declared_sigma
     reading = (observations.readings.displacement - setups.curvature) / sigma
     # A reversal and a drift: what a pass is off by, and its slope.
     lines = [
-        np.concatenate([which, which * along[k]]) * scales[k] * sigma
+        np.concatenate([which, which * along[k]]) * unit[k]
         for k, of_pass in coarse.items()
         if len(which := np.equal.outer(np.unique(of_pass), of_pass).astype(np.float64)) <= _MOST_PASSES
     ]
@@ -111,7 +111,7 @@ def bending_tables(
         residual = reading - (basis @ reading) @ basis
         best, gained = None, 0.0
         for k, of_pass in coarse.items():
-            node, gain = _further_node(out[k].nodes, places[k], along[k], scales[k], residual, basis, of_pass)
+            node, gain = _further_node(out[k].nodes, places[k], along[k], unit[k] / sigma, residual, basis, of_pass)
             if gain > gained:
                 best, gained = (k, node), gain
         if best is None:
@@ -145,7 +145,7 @@ def _further_node(
     hats = interpolation(wider, x)[np.isin(wider, middle)] * scale
     order = np.lexsort((x, of_pass))
     steps = np.diff(residual[order])[np.diff(of_pass[order]) == 0]
-    noise = max(1.0, _NORMAL * float(np.median(np.abs(steps))) / np.sqrt(2.0))
+    noise = max(1.0, float(np.median(np.abs(steps))) / (NORMAL_MEDIAN * np.sqrt(2.0)))
     clipped = residual.clip(-_CLIPPED * noise, _CLIPPED * noise)
     outside = hats - (hats @ basis.T) @ basis
     total, squares = outside @ clipped, np.sum(outside**2, axis=1)

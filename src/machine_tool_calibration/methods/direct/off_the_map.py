@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, unsigned
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, IntArray, groups, unsigned
 from machine_tool_calibration.machine.error_motions import off_a_line, parse_motion
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
@@ -24,33 +24,23 @@ _TOGETHER, _FEWEST = (1, 2, 3, 5, 9), 2
 _BENDS = 4
 # Probability with which noise alone is somewhere as far off the map.
 _BY_CHANCE = 0.05
-# A normal distribution's standard deviation over its median absolute deviation.
-_NORMAL = 1.4826
 
 
-def widened(
-    covariance: Array,
-    model: MethodModel,
-    residuals: Array,
-    tables: tuple[Sequence[MachineTable], Array],
-    state: IntArray,
-) -> Array:
+def widened(covariance: Array, bend: Array, model: MethodModel, residuals: Array, state: IntArray) -> Array:
     """(p, 3, 3) covariances of the position errors of states, with what the map is off there.
 
     Args:
         covariance: as the readings' noise makes it, m^2.
+        bend: (p, 3) what tables leave between their nodes, as far as the readings of the place allow it, m.
         model: the readings, and by what uncertainty each counts.
         residuals: (n,) measured minus predicted, m.
-        tables: the machine errors in the model, and the values (K,) of their unknowns.
         state: (n,) the state of each reading.
     """
     observations = model.observations
-    first = np.unique(state, return_index=True)[1]
     off, most = np.zeros((2, len(covariance), 3))
     for out, found in zip((off, most), _off_the_map(observations, residuals, model.sigma), strict=True):
         np.maximum.at(out, state, np.abs(found[:, None] * observations.direction))
-    bend = np.minimum(_between_nodes(*tables, observations.position[first]), most)
-    covariance = covariance + np.eye(3) * (bend**2)[:, :, None]
+    covariance = covariance + np.eye(3) * (np.minimum(bend, most) ** 2)[:, :, None]
     further = (off**2 - np.einsum("nii->ni", covariance)).clip(0.0)
     return np.asarray(covariance + np.eye(3) * further[:, :, None])
 
@@ -76,7 +66,7 @@ def _off_the_map(observations: Observations, residuals: Array, sigma: Array) -> 
     return off[site], np.sqrt(mean**2 + 1.0 / total)[site]
 
 
-def _between_nodes(tables: Sequence[MachineTable], theta: Array, points: Array) -> Array:
+def between_nodes(tables: Sequence[MachineTable], theta: Array, points: Array) -> Array:
     """(p, 3) what the straight lines between nodes are off curves that bend as the values (K,) at the nodes do, m.
 
     By a second derivative; 0 at the nodes themselves.
@@ -98,7 +88,7 @@ def _between_nodes(tables: Sequence[MachineTable], theta: Array, points: Array) 
 def _off(mean: Array, weight: Array, count: IntArray) -> Array:
     """(k,) the same of places in their order, from the mean of each one's readings, its weight and their number."""
     beside = np.abs(np.diff(mean)) / np.sqrt(1.0 / weight[1:] + 1.0 / weight[:-1])
-    noise = max(1.0, _NORMAL * float(np.median(beside))) if len(beside) else 1.0
+    noise = max(1.0, float(np.median(beside)) / NORMAL_MEDIAN) if len(beside) else 1.0
     least = noise * float(ndtri(1.0 - _BY_CHANCE / (2.0 * len(mean))))
     off = np.zeros(len(mean))
     for k in _TOGETHER:
