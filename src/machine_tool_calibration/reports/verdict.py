@@ -311,10 +311,14 @@ def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
 
 
 def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
-    """Of what goes with the time: that it may as well go with the place, or with a reversal that was not recorded."""
-    found = any(diagnosis.search.of(name).candidate.takes_time for name in diagnosis.accepted)
-    nothing = diagnosis.verdict in ("adequate", "outliers")
-    if nothing or (not found and "time" not in [structure.covariate for structure in diagnosis.left[:1]]):
+    """Of what goes with the time that it may as well go with the place or a direction, and of a reversal the other way.
+
+    An axis that moved once, there or there and back, does not tell them apart.
+    """
+    found = [diagnosis.search.of(name).candidate for name in diagnosis.accepted]
+    reverses, takes_time = any(one.reverses for one in found), any(one.takes_time for one in found)
+    in_time = takes_time or "time" in [structure.covariate for structure in diagnosis.left[:1]]
+    if diagnosis.verdict in ("adequate", "outliers") or not (in_time or reverses):
         return
     for observed in (fit.model.observations for fit in diagnosis.with_found.joint.fits):
         if not spec_of(observed.session).reads_machine:
@@ -322,10 +326,13 @@ def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
         moves = {axis: np.diff(observed.position[:, j]) for j, axis in enumerate("xyz")}
         moved = {axis: way for axis, way in moves.items() if np.abs(way).max(initial=0.0) > SAME_POSITION}
         for axis, way in moved.items():
-            if len(moved) == 1 and abs(np.sign(way).sum()) == len(way):
+            turns = np.count_nonzero(np.diff(np.sign(way[np.abs(way) > SAME_POSITION])))
+            if in_time and len(moved) == 1 and abs(np.sign(way).sum()) == len(way):
                 yield say("diagnosis.time_is_place", axis=axis)
-            elif diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}") and (way < 0.0).any():
+            elif in_time and diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}") and turns:
                 yield say("diagnosis.unrecorded_direction", axis=axis)
+            elif reverses and len(moved) == 1 and turns == 1:
+                yield say("diagnosis.reversal_is_time", axis=axis)
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:

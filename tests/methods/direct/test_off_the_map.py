@@ -32,6 +32,16 @@ def test_a_steep_end_that_was_read_once_is_within_its_uncertainty() -> None:
     assert (found.uncertainty[X > 1.0, 0] < 0.3 * off.max()).all()  # and not where it follows
 
 
+@pytest.mark.parametrize("passes", [1, 2])
+def test_a_wave_that_no_table_follows_is_within_the_uncertainty(passes: int) -> None:
+    wave = 1e-6 * np.sin(2.0 * np.pi * X / 0.0137)
+    found = identify(scan(SMOOTH + wave, X, passes)).error_map
+    off, u = np.abs(found.error[:, 0] - SMOOTH - wave), found.uncertainty[:, 0]
+    assert off.max() > 3.0 * U
+    assert (off < 2.0 * u).all()
+    assert np.median(u) == pytest.approx(1e-6 / np.sqrt(2.0), rel=0.1)
+
+
 @pytest.mark.parametrize("bend", [STEEP, 2e-5 * np.exp(-(((X - 0.83) / 0.03) ** 2))], ids=["steep", "worn"])
 def test_what_both_passes_show_has_nodes_of_its_own(bend: np.ndarray) -> None:
     found = identify(scan(SMOOTH + bend, X, 2)).error_map

@@ -22,6 +22,8 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 _TOGETHER, _FEWEST = (1, 2, 3, 5, 9), 2
 # Values of a table from which it is told how it bends.
 _BENDS = 4
+# Ordinates of a periodogram that have a level.
+_SPECTRUM = 8
 # Probability with which noise alone is somewhere as far off the map.
 _BY_CHANCE = 0.05
 
@@ -99,4 +101,18 @@ def _off(mean: Array, weight: Array, count: IntArray) -> Array:
         for first in range(k):
             window = slice(first, first + len(found))
             off[window] = np.maximum(off[window], found)
-    return off
+    return np.asarray(np.maximum(off, _wave(mean)))
+
+
+def _wave(mean: Array) -> float:
+    """Standard deviation of what values in a row have of waves: what stands out of the periodogram of noise.
+
+    Its ordinates are exponentially distributed about one level where the values are independent (Priestley 1981, 6.1),
+    which the median of those that are no wave says.
+    """
+    power = np.abs(np.fft.rfft(mean - mean.mean())[1:]) ** 2
+    if len(power) < _SPECTRUM:
+        return 0.0
+    level = float(np.median(power)) / np.log(2.0)
+    above = power[power > level * np.log(len(power) / _BY_CHANCE)]
+    return float(np.sqrt(2.0 * above.sum())) / len(mean)
