@@ -315,11 +315,11 @@ def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
 
     An axis that moved once, there or there and back, does not tell them apart.
     """
+    if diagnosis.verdict in ("adequate", "outliers"):
+        return
     found = [diagnosis.search.of(name).candidate for name in diagnosis.accepted]
     reverses, takes_time = any(one.reverses for one in found), any(one.takes_time for one in found)
     in_time = takes_time or "time" in [structure.covariate for structure in diagnosis.left[:1]]
-    if diagnosis.verdict in ("adequate", "outliers") or not (in_time or reverses):
-        return
     for observed in (fit.model.observations for fit in diagnosis.with_found.joint.fits):
         if not spec_of(observed.session).reads_machine:
             continue
