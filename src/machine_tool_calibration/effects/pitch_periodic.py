@@ -4,6 +4,7 @@
 from functools import lru_cache
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.effects.effect import ONE_SIDED, AxisEffect, Coefficient, Shape, axis_unit, is_one_sided
@@ -100,7 +101,7 @@ class PitchPeriodic(AxisEffect):
         most = _CLIPPED * float(np.median(np.abs(seen)))
         seen = seen.clip(-most, most)
         width, step = 1.0 / (_PLACES * every[-1]), (every[1] - every[0]) / _FINER
-        count = round(1.0 / (step * width))
+        count = next_fast_len(round(1.0 / (step * width)), real=True)
         frequency, place = np.fft.rfftfreq(count, width), np.round((x - x.min()) / width).astype(np.int64)
         resolved = (frequency >= every[0]) & (frequency <= every[-1])
         # Beside a usual one, and away from all: where an axis bends the former are more than the latter.
