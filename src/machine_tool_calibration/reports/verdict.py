@@ -51,7 +51,8 @@ _MEMORY = 1.5
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 # Effects that are the reversal of an axis.
-_OF_REVERSAL = ("backlash", "lost_motion")
+_VARYING = "lost_motion"
+_OF_REVERSAL = ("backlash", _VARYING)
 
 
 def verdict_words(
@@ -63,8 +64,7 @@ def verdict_words(
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
-    if _is_there_and_back_once(diagnosis):
-        yield say("diagnosis.or_a_drift")
+    yield from _there_and_back_once(diagnosis)
     for words in diagnosis.suspicious:
         yield say("diagnosis.suspicious", what=words)
     if not brief:
@@ -172,12 +172,15 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
 _ONE_REVERSAL = 2
 
 
-def _is_there_and_back_once(diagnosis: Diagnosis) -> bool:
-    """Whether an axis of which a reversal was found turned once, and no times tell that from a drift."""
-    found = {name[-1] for name in diagnosis.accepted if name[:-2] in _OF_REVERSAL}
-    untimed = [m.observations.readings for m in diagnosis.fits[0].assembly.models if not m.observations.timed]
-    ways = [way for axis in found for one in untimed if (way := one.columns.get(f"dir_{axis}")) is not None]
-    return any(0 < np.count_nonzero(np.diff(way[way != 0])) <= _ONE_REVERSAL for way in ways)
+def _there_and_back_once(diagnosis: Diagnosis) -> Iterator[Said]:
+    """Of an axis that turned once: what times do not tell from the reversal that was found."""
+    observed = [model.observations for model in diagnosis.fits[0].assembly.models]
+    for timed, kinds, key in ((False, _OF_REVERSAL, "or_a_drift"), (True, (_VARYING,), "or_a_wander")):
+        found = {name[-1] for name in diagnosis.accepted if name[:-2] in kinds}
+        columns = [one.readings.columns for one in observed if one.timed == timed]
+        ways = [way for axis in found for own in columns if (way := own.get(f"dir_{axis}")) is not None]
+        if any(0 < np.count_nonzero(np.diff(way[way != 0])) <= _ONE_REVERSAL for way in ways):
+            yield say(f"diagnosis.{key}")
 
 
 def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
@@ -196,7 +199,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     if told is not None:
         return say("next.between", names=together(told.effects, say("text.and")), measure=told.measure)
     if diagnosis.verdict == "unexplained":
-        return say("next.look")
+        return say("next.moved" if any(map(_is_sudden, diagnosis.search.structure[:1])) else "next.look")
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
         fit = diagnosis.fits[-1]
@@ -210,6 +213,12 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         what = f"next.{_what_scatters(diagnosis)}"
         return say(what, ratio=rounded(np.sqrt(fit.reduced_chi_square)))
     return say("next.smaller", measure=best.measure)
+
+
+def _is_sudden(structure: Structure) -> bool:
+    """Whether the readings are others from a moment on, which is not where an axis is."""
+    known = isinstance(structure.shape, Said) and structure.shape.key in ("shape.step_at", "shape.shift_at")
+    return known and structure.covariate not in ("x", "y", "z")
 
 
 def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter", "both", "places", "setups"]:
@@ -311,28 +320,21 @@ def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
 
 
 def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
-    """Of what goes with the time that it may as well go with the place or a direction, and of a reversal the other way.
-
-    An axis that moved once, there or there and back, does not tell them apart.
-    """
-    if diagnosis.verdict in ("adequate", "outliers"):
+    """Of what goes with the time: that it may as well go with the place, or with a reversal that was not recorded."""
+    found = any(diagnosis.search.of(name).candidate.takes_time for name in diagnosis.accepted)
+    nothing = diagnosis.verdict in ("adequate", "outliers")
+    if nothing or (not found and "time" not in [structure.covariate for structure in diagnosis.left[:1]]):
         return
-    found = [diagnosis.search.of(name).candidate for name in diagnosis.accepted]
-    reverses, takes_time = any(one.reverses for one in found), any(one.takes_time for one in found)
-    in_time = takes_time or "time" in [structure.covariate for structure in diagnosis.left[:1]]
     for observed in (fit.model.observations for fit in diagnosis.with_found.joint.fits):
         if not spec_of(observed.session).reads_machine:
             continue
         moves = {axis: np.diff(observed.position[:, j]) for j, axis in enumerate("xyz")}
         moved = {axis: way for axis, way in moves.items() if np.abs(way).max(initial=0.0) > SAME_POSITION}
         for axis, way in moved.items():
-            turns = np.count_nonzero(np.diff(np.sign(way[np.abs(way) > SAME_POSITION])))
-            if in_time and len(moved) == 1 and abs(np.sign(way).sum()) == len(way):
+            if len(moved) == 1 and abs(np.sign(way).sum()) == len(way):
                 yield say("diagnosis.time_is_place", axis=axis)
-            elif in_time and diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}") and turns:
+            elif diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}") and (way < 0.0).any():
                 yield say("diagnosis.unrecorded_direction", axis=axis)
-            elif reverses and len(moved) == 1 and turns == 1:
-                yield say("diagnosis.reversal_is_time", axis=axis)
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:

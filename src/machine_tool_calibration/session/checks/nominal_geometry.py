@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, group_ranges
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, group_ranges, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import exchanged
 from machine_tool_calibration.session.description import Place, Probing, StationSetup
@@ -111,22 +111,31 @@ def on_a_line(points: Array) -> bool:
 def enough_stations(
     session: Session, setups: tuple[StationSetup, ...], measured: BoolArray, place: Place, *, needed: int, method: str
 ) -> None:
-    """Refuse stations at one place, and fewer than the method (in words) needs that were read (SessionError)."""
-    positions = np.array([setup.position for setup in setups])
+    """Refuse stations at one place, and fewer than the method (in words) needs that were read (SessionError).
+
+    One that was moved a little on its way stands at its place twice, and counts as one: what it had read it did not
+    read again.
+    """
+    positions, readings = np.array([setup.position for setup in setups]), session.readings
+    asked, station = groups(readings.alike(setup=False), readings.repeat), np.arange(len(setups))
     for second in range(1, len(setups)):
         distance = np.linalg.norm(positions[:second] - positions[second], axis=1)
         first = int(np.argmin(distance))
-        if distance[first] <= _SAME_PLACE:
+        if distance[first] > _SAME_PLACE:
+            continue
+        if len(np.intersect1d(*(asked[measured & (readings.setup == k)] for k in (first, second)))):
             raise SessionError(
                 f"{place.description}: setups[{second}].position: station {setups[second].id!r} "
                 f"stands at the place of station {setups[first].id!r}"
             )
-    used = np.unique(session.readings.setup[measured])
-    if len(used) < needed:
+        station[second] = station[first]
+    used = np.unique(readings.setup[measured])
+    count = len(np.unique(station[used]))
+    if count < needed:
         silent = [setup.id for index, setup in enumerate(setups) if index not in used]
         without = f" (no reading from {', '.join(silent[:8])})" if silent else ""
         raise SessionError(
-            f"{place.description if not silent else place.readings}: {counted(len(used), 'station')}; "
+            f"{place.description if not silent else place.readings}: {counted(count, 'station')}; "
             f"{method} needs at least {needed}{without}"
         )
 
