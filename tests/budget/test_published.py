@@ -14,7 +14,7 @@ from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.complete import completed
 from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.budget.contributor import Contributor
-from machine_tool_calibration.budget.enough import Until, after_each_setup, parts
+from machine_tool_calibration.budget.enough import Until, after_each_setup, parts, reached
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import (
     Numbers,
@@ -182,6 +182,12 @@ def test_u_falls_from_setup_to_setup_to_that_of_the_whole(session: Session) -> N
     assert u[-1] == pytest.approx(2.0 * np.nanmax(whole))
     assert not any(one.enough for one in found)
     assert [one.enough for one in after_each_setup(chosen, Until(u=1.01 * u[-1]))] == [False] * (len(u) - 1) + [True]
+
+
+def test_no_effect_is_told_by_what_cannot_be_identified(session: Session) -> None:
+    """By one station."""
+    found = reached(FitRequest((next(parts(session)),)), Until(told=("backlash_y",)))
+    assert not found.enough and not found.probabilities
 
 
 @pytest.mark.long

@@ -146,9 +146,10 @@ def test_a_laboratory_has_a_template_and_a_logo_of_its_own(tmp_path: Path) -> No
     layout.write_text("{% extends 'certificate.html' %}{% block header %}{{ nobody }}{% endblock %}")
     with pytest.raises(CalibrationError, match=r"layout.html: UndefinedError: 'nobody' is undefined"):
         written(own, tmp_path)
-    logo.write_text("no picture")
-    with pytest.raises(CalibrationError, match="a logo is an SVG, PNG or JPEG file"):
-        written(own, tmp_path)
+    for content, message in ((b"no picture", "a logo is an SVG, PNG or JPEG file"), (b"\x89PNG cut", "cannot be read")):
+        logo.write_bytes(content)
+        with pytest.raises(CalibrationError, match=message):
+            written(own, tmp_path)
     with pytest.raises(CalibrationError, match="needs another name"):
         written(own.model_copy(update={"template": str(tmp_path / "certificate.html")}), tmp_path)
 

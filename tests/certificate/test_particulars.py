@@ -15,7 +15,7 @@ import pytest
 from machine_tool_calibration.certificate.dcc import SPACES, dcc_text, lacks_for_dcc
 from machine_tool_calibration.certificate.particulars import Certificate, Item, read_certificate
 from machine_tool_calibration.certificate.texts import missing
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.reports.result_tables import tidy
 from machine_tool_calibration.session.session import Session
@@ -122,6 +122,15 @@ def test_a_mistake_is_said_with_file_line_and_key(
     file.write_text(f"format: mtcal-certificate/1\ncertificate: {text}\n")
     told = verb.refused("report", made.session, "--certificate", file)
     assert told.startswith(f"mtcal: {file} line 2: ") and message in told
+
+
+def test_it_is_not_issued_before_the_measurement(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "format: mtcal-certificate/1\ncertificate: {measured: [2026-03-01, 2026-03-04], issued: 2026-03-02}\n"
+    )
+    with pytest.raises(SessionError, match="issued on 2026-03-02, before it was measured on 2026-03-04"):
+        read_certificate([file], [])
 
 
 # Children that the schema 3.2.1 asks for, in its order.

@@ -2,6 +2,7 @@
 """`mtcal logbook`, `trend`, `check` and `fleet`: sessions are entered once, followed, and judged."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -86,7 +87,7 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.long
-def test_the_last_entry_before_the_measurement_counts(months: Path, verb: Verb) -> None:
+def test_the_last_entry_before_the_measurement_counts(months: Path, verb: Verb, tmp_path: Path) -> None:
     book = months / "mill.logbook"
     verb("logbook", "add", book, months / "1", months / "3")
     held = verb("check", book, months / "2", "--json").document
@@ -95,6 +96,11 @@ def test_the_last_entry_before_the_measurement_counts(months: Path, verb: Verb) 
     failed = verb("check", book, months / "3")
     assert "no longer predicts" in failed.text and "between 2026-01-05 and 2026-03-05" in failed.text
     assert "the logbook has no entry before" in verb.refused("check", book, months / "1")
+    other = tmp_path / "other"
+    shutil.copytree(months / "2", other)
+    described = other / "session.yaml"
+    described.write_text(described.read_text().replace("mill", "lathe"))
+    assert "no machine 'lathe'; there is mill" in verb.refused("check", book, other)
 
 
 @pytest.mark.long

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A station that is bumped on its way: what is told, and what helps."""
+"""What is displaced on the way, and what only seems to be: what is told, and what helps."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from tests import plates
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import SessionError
@@ -51,6 +53,34 @@ def test_a_setup_of_its_own_mends_what_a_bumped_station_did(tmp_path) -> None:
     straight = identify(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=7)).session)
     off = identify(mended).error_map.error - straight.error_map.error
     assert np.nanmax(np.abs(off)) < 2.0 * np.nanmax(straight.error_map.uncertainty)
+
+
+def test_of_several_targets_the_one_that_was_moved_is_named() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=7)).session
+    readings = session.readings
+    name = str(readings.labels["target"][0])
+    mine = np.flatnonzero(readings.labels["target"] == name)
+    late = mine[5 * len(mine) // 12 :]  # in the middle of what the second station reads
+    turn = Rotation.from_rotvec(np.outer(session.rotation_sign * readings.columns["c"], [0.0, 0.0, 1.0]))
+    moved = np.einsum("nj,nj->n", turn.apply([15e-6, 10e-6, -8e-6]), build_model(session)[0].observations.direction)
+    read = readings.displacement.copy()
+    read[late] += moved[late]
+    found = diagnose(session.with_readings(replace(readings, displacement=read)))
+    assert found.verdict == "unexplained" and found.left[0].shape.key == "shape.shift_of_target_at"
+    assert f"if {name} was moved" in next_step(found, Advice())
+
+
+def test_a_reversal_is_none_of_an_angle_where_each_axis_moved_along_one_line() -> None:
+    places, rng = np.linspace(0.0, 0.4, 9), np.random.default_rng(1)
+    x = np.tile(np.concatenate([places, places[::-1]]), 3)
+    sense = np.tile(np.repeat([1.0, -1.0], len(places)), 3)
+    columns = {"x": x, "y": 0.2 + 0 * x, "z": 0 * x, "dir_x": sense, "gx": 1 + 0 * x, "gy": 0 * x, "gz": 0 * x}
+    columns["displacement"] = 1e-6 * np.sin(9.0 * x) - 8e-7 * sense + 2e-7 * rng.normal(size=len(x))
+    found = diagnose(
+        plates.session(columns, 2e-7, "none", ("EXX",), np.repeat(np.arange(3), 2 * len(places)), repeats=3)
+    )
+    assert found.accepted == ("backlash_x",)
+    assert found.excluded["reversal_ECX"] == "with one lever arm it is EXX"
 
 
 def test_a_station_that_reads_all_again_at_the_place_of_another_is_a_mistake(tmp_path) -> None:

@@ -59,11 +59,22 @@ def test_the_hash_is_that_of_the_result_and_of_the_texts(measured: tuple[Session
         _ = replace(entry, readings=entry.readings.replace("1", "2", 1)).session
 
 
+def test_readings_are_entered_once_whatever_their_description_says(
+    measured: tuple[Session, Entry], tmp_path: Path
+) -> None:
+    book = Logbook(tmp_path / "mill.logbook")
+    book.add(measured[1])
+    later = replace(measured[1], date="2026-04-02", sha256="0" * 64)
+    with pytest.raises(SessionError, match="march: its readings are those of entry 1 of 2026-03-02"):
+        book.add(later)
+    assert book.add(replace(later, machine="another"))[1]
+
+
 def test_moments_in_several_time_zones_are_in_their_order(measured: tuple[Session, Entry], tmp_path: Path) -> None:
     book = Logbook(tmp_path / "mill.logbook")
     dates = ("2026-05-05T01:00:00+02:00", "2026-05-04T23:30:00-08:00", "2026-05-05T00:00:00", "2026-05-04")
     for k, date in enumerate(dates):
-        book.add(replace(measured[1], date=date, sha256=f"{k:064d}"))
+        book.add(replace(measured[1], date=date, sha256=f"{k:064d}", readings=str(k)))
     assert [entry.date for entry in book.entries()] == [dates[k] for k in (3, 0, 2, 1)]
 
 
@@ -98,7 +109,7 @@ def test_entries_stand_by_date_and_several_machines_are_asked_for(
 ) -> None:
     entry, book = measured[1], Logbook(tmp_path / "shop.logbook")
     for date, machine in (("2026-05-01", "mill"), ("2026-01-01", "lathe"), ("2026-04-01T08:00:00", "mill")):
-        book.add(replace(entry, date=date, machine=machine, sha256=date))
+        book.add(replace(entry, date=date, machine=machine, sha256=date, readings=date))
     assert [one.date[:7] for one in book.entries()] == ["2026-01", "2026-04", "2026-05"]
     assert [one.number for one in book.of_one("mill")] == [3, 1]
     with pytest.raises(CalibrationError, match="of which machine: lathe, mill"):
@@ -252,7 +263,7 @@ def test_a_damaged_logbook_is_not_written_to(measured: tuple[Session, Entry], tm
     """It would say that an entry is kept which nobody can read again."""
     book, (_, entry) = Logbook(tmp_path / "mill.logbook"), measured
     for number in range(3):
-        book.add(replace(entry, sha256=f"{number:064x}"))
+        book.add(replace(entry, sha256=f"{number:064x}", readings=str(number)))
     whole = book.path.read_bytes()
     half = len(whole) // 2
     book.path.write_bytes(whole[:half] + bytes([0xA7]) * 4096 + whole[half + 4096 :])

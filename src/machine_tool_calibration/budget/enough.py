@@ -15,6 +15,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.progress import untold
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.units import quantity
 
@@ -80,6 +81,7 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
     seconds = float(np.ptp(known)) if len(known) else None
     found = Reached(session.setup_ids[int(readings.setup[-1])], len(readings), seconds)
     try:
+        check_session(session)  # what can be identified too, if it ends here
         if until.u is not None:
             found_map = complete.identify(chosen).error_map
             u = found_map.largest_expanded if found_map.determined >= wanted else float("inf")

@@ -3,12 +3,13 @@
 
 import base64
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 
 from machine_tool_calibration.certificate.dcc import dcc_text, lacks_for_dcc
 from machine_tool_calibration.certificate.particulars import Certificate
 from machine_tool_calibration.certificate.texts import facts, instruments, missing, procedure, statements
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, one_line
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import pdf, rendered, save_all
@@ -118,4 +119,12 @@ def _logo(file: str) -> str:
     kind = next((kind for mark, kind in _KINDS.items() if content.lstrip().startswith(mark)), None)
     if kind is None:
         raise CalibrationError(f"{file}: a logo is an SVG, PNG or JPEG file")
+    if kind != "svg+xml":
+        from PIL import Image
+
+        try:
+            with Image.open(BytesIO(content)) as picture:
+                picture.load()
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            raise CalibrationError(f"{file}: the logo cannot be read: {one_line(error)}") from None
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints
 
 from machine_tool_calibration.budget.conformity import RULES
-from machine_tool_calibration.errors import did_you_mean
+from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.record import Record, validated
 from machine_tool_calibration.session.session import Session
@@ -171,7 +171,11 @@ def read_certificate(files: Sequence[Path], sessions: Sequence[Session]) -> Cert
         if own.template:
             content["template"] = str(file.parent / own.template)
         declared = _merged(declared, content)
-    return validated(Certificate, declared, " + ".join(map(str, files)))
+    where = " + ".join(map(str, files))
+    found = validated(Certificate, declared, where)
+    if found.issued is not None and found.measured and found.issued < found.measured[-1]:
+        raise SessionError(f"{where}: issued on {found.issued}, before it was measured on {found.measured[-1]}")
+    return found
 
 
 def _merged(first: Mapping[str, Any], then: Mapping[str, Any]) -> dict[str, Any]:

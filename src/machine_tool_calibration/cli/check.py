@@ -45,6 +45,7 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     """
     from machine_tool_calibration.interface.trends import Check
     from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
+    from machine_tool_calibration.session.provenance import name_of_machine
     from machine_tool_calibration.trends.check import check
     from machine_tool_calibration.trends.logbook import Logbook, is_logbook
     from machine_tool_calibration.trends.statement import of_fit, of_result
@@ -59,7 +60,8 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
             return of_fit(fitted_sessions(identify_sessions(request)), label, seed=seed, progress=progress)
 
         if is_logbook(earlier):
-            entries = _before(Logbook(earlier).of_one(machine), asked)
+            named = machine or name_of_machine(asked.sessions[0].description.about)
+            entries = _before(Logbook(earlier).of_one(named or None), asked)
             method = asked.sessions[0].method
             last = ([one for one in entries if one.result["method"] == method] or entries)[-1]
             model, effects = last.result["model"], tuple(last.result["effects"])

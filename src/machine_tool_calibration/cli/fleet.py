@@ -9,6 +9,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, fit_one, followed, model_options, workers_options
 from machine_tool_calibration.cli.shared import FILE, FOLDER, json_option, note, note_written, tell
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.words import words
 
 
@@ -90,5 +91,8 @@ def _enter(book: Path, folders: tuple[Path, ...], wanted: Wanted, **cluster: Any
             continue
         # The diagnosis first: what has an entry is finished.
         logbook.add_diagnosis(one.found.entry.sha256, one.found.diagnosis)
-        added += logbook.add(one.found.entry)[1]
+        try:
+            added += logbook.add(one.found.entry)[1]
+        except SessionError as error:
+            problems.append((one.item.label, str(error)))
     return added, problems

@@ -66,7 +66,7 @@ class Diagnosis:
     verdict: str  # adequate, missing_effect, unexplained or outliers
     accepted: tuple[str, ...]  # effects found, in the order in which the model takes them: the surest first
     search: EffectSearch  # what was found beside the model without them
-    noise: Noise  # what is known of the readings' noise, with the first model
+    noise: Noise  # what is known of the readings' noise: by repeats beside the effects found, else by the first model
     fitted: tuple[FittedSessions, ...]  # of the first model and after every effect found
     # for every effect that was probable enough, how it does on readings that were left out
     predicted: dict[str, tuple[Prediction, ...]]
@@ -249,13 +249,18 @@ def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress
         noise = replace(noise, **said)
         # Means of places have no repeats, beside which places that differ would show.
         search = replace(search, structure=search.structure or of_places(search.fit, [repeated]))
+    beside = noise
+    if added.accepted and repeated is None:
+        # What an effect changes between repeats is no noise beside it.
+        last = pooled([noise_of(own) for own in added.fitted[-1].joint.fits], noise.chi_square_p)
+        beside = replace(noise, from_repeats=last.from_repeats, repeats=last.repeats)
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
         verdict="",
         accepted=added.accepted,
         search=search,
-        noise=noise,
+        noise=beside,
         fitted=added.fitted,
         predicted=predicted,
         refused=added.refused | added.impossible,
@@ -265,7 +270,7 @@ def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress
     verdict = _verdict(found)
     if verdict == "missing_effect":
         return replace(found, verdict=verdict)
-    return replace(found, verdict=verdict, accepted=(), fitted=added.fitted[:1])
+    return replace(found, verdict=verdict, accepted=(), fitted=added.fitted[:1], noise=noise)
 
 
 def _side_by_side(chosen: FitRequest) -> bool:

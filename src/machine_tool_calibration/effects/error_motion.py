@@ -47,11 +47,12 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
 
 
 def why_no_angle(observations: Observations, motion: ErrorMotion) -> str | None:
-    """Why circles of a ball bar show no such angle: wherever its axis moves its lever arm is one.
+    """Why readings of the machine itself, such as circles, show no such angle: where its axis moves it has one arm.
 
-    They read one point of the tool, and what that does is its straightness, whatever turns (ISO 230-1).
+    They read one point of the tool, and what that does is its straightness or position, whatever turns (ISO 230-1).
     """
-    if not motion.is_rotation or observations.session.method != "ball_bar" or observations.covered is not None:
+    direct = spec_of(observations.session).reads_machine
+    if not motion.is_rotation or not direct or observations.covered is not None:
         return None
     place, setup = observations.position[:, "XYZ".index(motion.axis)], observations.readings.setup
     moves = np.isin(setup, [s for s in np.unique(setup) if np.ptp(place[setup == s]) > SAME_POSITION])

@@ -84,6 +84,8 @@ def verdict_words(
     if (memory := diagnosis.search.memory) >= _MEMORY:
         yield say("diagnosis.memory", n=min(round(memory), len(Pool(diagnosis.search.fit))))
     yield from _noise(diagnosis)
+    if diagnosis.verdict == "missing_effect" and diagnosis.left:
+        yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
 
 
 def verdict_line(diagnosis: Diagnosis) -> str:
@@ -168,6 +170,9 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
     return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in _OF_REVERSAL for axis in axes}
 
 
+# What comes at a moment.
+_ON_TABLE, _OF_TARGET = "shape.shift_on_table_at", "shape.shift_of_target_at"
+_SUDDEN = ("shape.step_at", "shape.shift_at", _ON_TABLE, _OF_TARGET)
 # Changes of an axis's direction where it went there and back once, from where it may have come from either side.
 _ONE_REVERSAL = 2
 
@@ -199,7 +204,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     if told is not None:
         return say("next.between", names=together(told.effects, say("text.and")), measure=told.measure)
     if diagnosis.verdict == "unexplained":
-        return say("next.moved" if any(map(_is_sudden, diagnosis.search.structure[:1])) else "next.look")
+        return _mended(diagnosis) or say("next.look")
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
         fit = diagnosis.fits[-1]
@@ -215,10 +220,17 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     return say("next.smaller", measure=best.measure)
 
 
-def _is_sudden(structure: Structure) -> bool:
-    """Whether the readings are others from a moment on, which is not where an axis is."""
-    known = isinstance(structure.shape, Said) and structure.shape.key in ("shape.step_at", "shape.shift_at")
-    return known and structure.covariate not in ("x", "y", "z")
+def _mended(diagnosis: Diagnosis) -> Said | None:
+    """What helps where readings are others from a moment on, which is not where an axis is; None where they are not."""
+    for structure in diagnosis.search.structure[:1]:
+        shape = structure.shape
+        if not isinstance(shape, Said) or shape.key not in _SUDDEN or structure.covariate in ("x", "y", "z"):
+            return None
+        if shape.key == _OF_TARGET:
+            return say("next.moved_target", target=shape.values["target"])  # type: ignore[call-overload]
+        probes = spec_of(diagnosis.chosen.sessions[0]).probes_surface
+        return say("next.moved_part" if probes or shape.key == _ON_TABLE else "next.moved")
+    return None
 
 
 def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter", "both", "places", "setups"]:
@@ -374,10 +386,10 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fit_quality(joint.p_value) == "bad":
         if noise.from_repeats is not None and diagnosis.noisy:
-            why = say("diagnosis.repeats_scatter", repeats=quantity(noise.from_repeats, "m"))
-        else:
-            why = say("diagnosis.rest" if again else "diagnosis.mounted_once")
-        yield together((say("diagnosis.no_noise", ratio=rounded(ratio)), why))
+            why = [say("diagnosis.repeats_scatter", repeats=quantity(noise.from_repeats, "m"))]
+        else:  # what is left with a pattern is told
+            why = [] if diagnosis.left else [say("diagnosis.rest" if again else "diagnosis.mounted_once")]
+        yield together([say("diagnosis.no_noise", ratio=rounded(ratio)), *why])
 
 
 def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
@@ -404,8 +416,6 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
             by_place = "places_alike" if alike else "places_differ"
             key = ("setups_differ" if differ_by_setup(fit.fits) else by_place) if moves else "targets_differ"
             yield say(f"diagnosis.{key}", repeats=quantity(repeats, "m"))
-    if diagnosis.verdict == "missing_effect" and diagnosis.left:
-        yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
 
 
 def _scatter_of_each(fit: JointFit) -> Iterator[Said]:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups, means_of
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.estimation.serial_correlation import Memory, memory_of
@@ -62,7 +63,11 @@ class Pool:
 
     def residuals_beside(self, change: Array) -> Array:
         """(n,) measured minus predicted, m, of the fit to the readings without a change of these, m."""
-        fit = changed(self.fit.without_random, [-change[piece] for piece in self.pieces])
+        fit, shifts = self.fit.without_random, [-change[piece] for piece in self.pieces]
+        try:  # what is displaced may have moved unknowns far along directions that hardly show, where steps are curved
+            fit = changed(fit, shifts, again=not all(part.linear for part in fit.assembly.problem.parts))
+        except ModelError:
+            fit = changed(fit, shifts)
         return np.concatenate([own.residuals for own in fit.fits]) - change
 
     def memory(self, residuals: Array) -> Memory:

@@ -179,7 +179,10 @@ class Logbook:
         self.path = path
 
     def add(self, entry: Entry) -> tuple[Entry, bool]:
-        """Enter a session: the entry as it is in the logbook, and whether it is new; a CalibrationError if it fails."""
+        """Enter a session: the entry as it is in the logbook, and whether it is new.
+
+        A CalibrationError if it fails; a SessionError: the machine has the same readings with another description.
+        """
         with self._open(make=True) as database, database:
             database.execute("BEGIN IMMEDIATE")  # so that nobody enters between looking and entering
             (whole,) = database.execute("PRAGMA quick_check(1)").fetchone()
@@ -187,6 +190,9 @@ class Logbook:
                 raise CalibrationError(f"{self.path}: is damaged, and nothing is entered: {one_line(whole)}")
             if found := self._select(database, "WHERE sha256 = ?", entry.sha256):
                 return found[0], False
+            if found := self._select(database, "WHERE machine = ? AND readings = ?", entry.machine, entry.readings):
+                there = f"those of entry {found[0].number} of {found[0].date}"
+                raise SessionError(f"{entry.label}: its readings are {there}, with another description")
             values = {name: getattr(entry, name) for name in _COLUMNS}
             values["result"] = json.dumps(entry.result, ensure_ascii=False, allow_nan=False)
             values["sizes"] = json.dumps([asdict(size) for size in entry.sizes], ensure_ascii=False)

@@ -12,16 +12,11 @@ from machine_tool_calibration.arrays import peaks
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.candidates import Candidate
 from machine_tool_calibration.diagnosis.search.effect_search import _dependence
+from machine_tool_calibration.diagnosis.search.events import _around, _frequencies, _moments, _periodogram, _step, _wave
 from machine_tool_calibration.diagnosis.search.structure import (
-    _around,
-    _frequencies,
     _from_place_to_place,
-    _moments,
     _Outside,
-    _periodogram,
     _products,
-    _step,
-    _wave,
     structure_candidates,
 )
 from machine_tool_calibration.methods.build import build_model

@@ -59,6 +59,11 @@ class Candidate:
     # of a structure, on what the residuals depend and how; a wave or a step has its place put in
     dependence: tuple[str, Said] | None = None
 
+    @classmethod
+    def of_structure(cls, covariate: str, how: Said, shapes: tuple[ShapedColumns, ...], equally: int = 0) -> Candidate:
+        """One without a cause."""
+        return cls(f"{covariate}: {how}", shapes, equally=equally, dependence=(covariate, how))
+
     @property
     def contains(self) -> tuple[str, ...]:
         """Ids of effects that are a special case of it."""

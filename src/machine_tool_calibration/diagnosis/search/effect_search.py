@@ -368,12 +368,12 @@ def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, st
     if not shape:
         return covariate, how
     if len(shape) > 1 or covariate.rsplit("/", 1)[-1] in _POSITIONS:
-        return covariate, say(how.key, at=", ".join(f"{1e3 * position:.4g} mm" for position in shape))
+        return covariate, how.of(at=", ".join(f"{1e3 * position:.4g} mm" for position in shape))
     if covariate.endswith("time"):
-        return covariate, say(how.key, at=lasting(shape[0]))
+        return covariate, how.of(at=lasting(shape[0]))
     # The moment of a change is that of the last reading before it, the first of which is number 0.
     number = f"{shape[0]:.3g}" if how.key == "shape.wave" else round(shape[0]) + 1
-    return covariate, say(how.key, at=say("shape.readings", n=number))
+    return covariate, how.of(at=say("shape.readings", n=number))
 
 
 def led_by_places(found: tuple[Structure, ...], fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:

@@ -7,11 +7,11 @@ from functools import cached_property, partial
 from itertools import combinations, product
 
 import numpy as np
-import numpy.typing as npt
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, means_of, occurrence, peaks, within
+from machine_tool_calibration.arrays import Array, IntArray, groups, means_of, occurrence, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
-from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
+from machine_tool_calibration.diagnosis.search.events import ENOUGH, SAME_DIRECTION, Explained, events
+from machine_tool_calibration.diagnosis.search.evidence import gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
@@ -31,34 +31,12 @@ _ANGLES = ("a", "b", "c", "azimuth", "elevation", "normal")
 _MOST_SETUPS = 12
 # Places whose reversal is tried one by one: of more, neighbours have much in common.
 _MOST_PLACES = 25
-# Fewer readings than this show neither a step nor a wave.
-_ENOUGH = 40
-# Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and where it explains
-# most; moments that are looked at for that at first, and steps by which it is looked closer.
-_MOMENTS, _CHANGES, _LOOKED_AT, _CLOSER = 24, 6, 300, 8
 # Lines across an axis at which a zone is tried to end, and corners that are looked at.
 _LINES, _CORNERS = 20, 4
 # Share of the variance of the turns at which places are read below which each has its own.
 _ALWAYS = 0.01
-# Range of a direction's component below which it is the same for all readings.
-_SAME_DIRECTION = 1e-6
-
-# Frequencies of the periodogram for each independent one, and its largest peaks that are looked at.
-_OVERSAMPLED, _PEAKS = 4, 8
-_MOST_FREQUENCIES = 20000
-# Intervals of readings from which a burst of them ends, and readings of a short one.
-_BETWEEN_BURSTS, _IN_A_BURST = 3.0, 6
-# Bands of waves, by periods over the whole session, one of which may be missing in each: slower ones are smooth
-# functions; of those in these bands the model and what does not reproduce absorb much, of faster ones little.
-_BANDS = ((2.5, 12.0), (12.0, 60.0))
-# Columns that are projected at once.
-_BATCH = 120
-# Sum of squares of a wave below which it is zero at all readings; of any column of zeros.
-_NO_WAVE, _NOTHING = 1e-12, 1e-100
-
-
-_Explained = Callable[[Callable[[float], Array], Array], list[Array]]
-"""Sums of squares that columns by a value explain, for each of some values, in one or more ways."""
+# Columns that are projected at once, and the sum of squares of any column of zeros.
+_BATCH, _NOTHING = 120, 1e-100
 
 
 def structure_candidates(pool: Pool) -> list[Candidate]:
@@ -74,12 +52,12 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         # Axes that cross in the middle of their travel have no product.
         functions = (f for kind in kinds for f in kind(observations) if len(f[2]))
-        own = [_structure(c, how, (ShapedColumns((), columns),)) for c, how, columns in functions]
-        if len(observations) >= _ENOUGH:
+        own = [Candidate.of_structure(c, how, (ShapedColumns((), columns),)) for c, how, columns in functions]
+        if len(observations) >= ENOUGH:
             own += _zones(observations, partial(outside.explained, piece=piece))
             if np.ptp(observations.clock) > 0:
                 residual = pool.residuals[piece] / pool.sigma[piece]
-                own += _events(observations, residual, partial(outside.explained, piece=piece))
+                own += events(observations, residual, partial(outside.explained, piece=piece))
         for candidate in own:
             shapes = tuple(ShapedColumns(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
             assert candidate.dependence is not None
@@ -133,7 +111,7 @@ def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     axes = [
         (axis, along)
         for axis, along in zip("xyz", observations.direction.T, strict=True)
-        if np.ptp(along) > _SAME_DIRECTION
+        if np.ptp(along) > SAME_DIRECTION
     ]
     for name, values in _covariates(observations).items():
         within = scaled_values(values)
@@ -177,7 +155,7 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
         sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
         along = sign * direction
         # Where the direction of approach is unknown for some readings, the last is not a number.
-        if len(np.unique(sign[sign != 0])) == 2 and np.ptp(along) >= _SAME_DIRECTION:
+        if len(np.unique(sign[sign != 0])) == 2 and np.ptp(along) >= SAME_DIRECTION:
             for other, scaled in _positions(observations).items():
                 both = say("shape.axes", one=named("column", f"dir_{axis}"), other=other)
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
@@ -187,7 +165,7 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
 
 def _read_along(observations: Observations) -> list[Array]:
     """(n,) components of the sensed direction along each axis along which something was read."""
-    return [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
+    return [d for d in observations.direction.T if np.abs(d).max() > SAME_DIRECTION]
 
 
 def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
@@ -216,7 +194,7 @@ def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, A
             yield named("column", "setup"), say(f"shape.{shape}"), np.concatenate(columns)
 
 
-def _zones(observations: Observations, explained: _Explained) -> Iterator[Candidate]:
+def _zones(observations: Observations, explained: Explained) -> Iterator[Candidate]:
     """Zones that are displaced: beyond a line across an axis, and beyond such lines across two (a tile, a joint)."""
     if not spec_of(observations.session).reads_machine:
         return
@@ -234,7 +212,9 @@ def _zones(observations: Observations, explained: _Explained) -> Iterator[Candid
         powers = explained(zone, np.arange(float(len(corners))))
         best = np.unique([np.argsort(-power)[:_CORNERS] for power in powers])
         shapes = tuple(ShapedColumns(corners[k], zone(k)) for k in best)
-        yield _structure(say("shape.axes", one=a, other=b), say("shape.zone_at", at=""), shapes, len(corners))
+        yield Candidate.of_structure(
+            say("shape.axes", one=a, other=b), say("shape.zone_at", at=""), shapes, len(corners)
+        )
 
 
 def _lines(position: Array) -> list[float]:
@@ -257,120 +237,6 @@ def _from_place_to_place(scaled: Array, sign: Array) -> Array:
     smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
     free = np.linalg.svd(smooth)[0][:, smooth.shape[1] :]
     return np.asarray(free.T @ own)
-
-
-def _events(observations: Observations, residual: Array, explained: _Explained) -> Iterator[Candidate]:
-    """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period.
-
-    The residuals (n,) are over the standard uncertainty.
-    """
-    name, time = _sequence(observations)
-    covariate = named("column", name)
-    for shape, of in _sudden(observations, time):
-        evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-        moments = np.union1d(evenly, _moments(time, of, explained)).tolist()
-        steps = tuple(ShapedColumns((moment,), of(moment)) for moment in moments)
-        yield _structure(covariate, say(shape, at=""), steps, len(time))
-    length, highest = float(np.ptp(time)), _samples(time) / 2.0
-    # Where only the order is known, what is slower than a run over places is a function of the run and the place.
-    run = observations.readings.repeat_of_setup
-    least = 0 if observations.timed or not observations.moves else 1 + int(run.max())
-    for lowest, end in _BANDS:
-        frequency = _frequencies(max(lowest, least), min(end, highest)) / length
-        if len(frequency):
-            yield from _waves(covariate, time, frequency, explained(partial(_wave, time), frequency))
-    frequency = _frequencies(_BANDS[-1][1], highest)[:_MOST_FREQUENCIES] / length
-    if len(frequency):
-        power = _periodogram(time - time[0], observations.run, residual, frequency)
-        yield from _waves(covariate, time, frequency, [power])
-
-
-def _sequence(observations: Observations) -> tuple[str, Array]:
-    """Name and (n,) values of what the readings follow: time, s; where none was recorded their order, in readings.
-
-    Of one pass along an axis, in which the order is the place, it is called by that, m.
-    """
-    if not observations.timed:
-        for axis, position in zip("xyz", observations.position.T, strict=True):
-            step = np.diff(position)
-            if step.any() and (np.all(step >= 0) or np.all(step <= 0)):
-                return axis, position
-    return "time" if observations.timed else "order", observations.clock
-
-
-def _sudden(observations: Observations, time: Array) -> Iterator[tuple[str, Callable[[float], Array]]]:
-    """What comes at a moment, by that: a step of the readings, and where these are displacements one of the part."""
-    yield "shape.step_at", partial(_step, time)
-    along = observations.direction[:, np.ptp(observations.direction, axis=0) > _SAME_DIRECTION].T
-    if len(along) > 1 and spec_of(observations.session).reads_machine:
-        yield "shape.shift_at", lambda moment: _step(time, moment) * along
-
-
-def _moments(time: Array, of: Callable[[float], Array], explained: _Explained) -> Array:
-    """Moments from which something explains most, each the time of the last reading before: closer and closer."""
-    every = np.unique(time)[:-1]
-    stride = -(-len(every) // _LOOKED_AT)
-    some = np.arange(0, len(every), stride)
-    while True:
-        powers = explained(of, every[some])
-        best = np.unique(np.concatenate([some[peaks(power)[:_CHANGES]] for power in powers]))
-        if stride == 1:
-            return np.asarray(every[best])
-        stride = -(-stride // _CLOSER)
-        near = best[:, None] + stride * np.arange(-_CLOSER, _CLOSER + 1)
-        some = np.unique(np.clip(near, 0, len(every) - 1))
-
-
-def _waves(covariate: str, time: Array, frequency: Array, powers: list[Array]) -> Iterator[Candidate]:
-    """Those of a band, at the peaks of sums of squares."""
-    near = {one for power in powers for one in _around(frequency, peaks(power)[:_PEAKS])}
-    waves = tuple(ShapedColumns((1.0 / one,), _wave(time, one)) for one in sorted(near))
-    if waves:
-        # As many of them are independent as there are periods over the session.
-        independent = round(float(np.ptp(time) * np.ptp(frequency)))
-        candidate = _structure(covariate, say("shape.wave", at=""), waves, independent)
-        yield replace(candidate, name=f"{candidate.name}{frequency[0]:.3g} Hz")
-
-
-def _rotating(frequency: Array | float, time: Array) -> npt.NDArray[np.complex128]:
-    """([f,] n) cosine and, as its imaginary part, sine of frequencies over time."""
-    phase = 2.0 * np.pi * np.multiply.outer(frequency, time)
-    wave = np.empty(phase.shape, dtype=complex)
-    # Faster than the exponential function of a complex number.
-    np.cos(phase, out=wave.real)
-    np.sin(phase, out=wave.imag)
-    return wave
-
-
-def _step(time: Array, moment: float) -> Array:
-    return (time > moment).astype(float)[None]
-
-
-def _wave(time: Array, frequency: float) -> Array:
-    phase = 2.0 * np.pi * frequency * (time - time[0])
-    return np.array([np.sin(phase), np.cos(phase)])
-
-
-def _samples(time: Array) -> int:
-    """Number of readings; where they come in short bursts that of bursts: faster waves are aliases of slow ones."""
-    gap = np.diff(np.sort(time))
-    bursts = 1 + int(np.sum(gap > _BETWEEN_BURSTS * np.median(gap)))
-    return bursts if len(time) <= _IN_A_BURST * bursts else len(time)
-
-
-def _frequencies(lowest: float, highest: float) -> Array:
-    """Frequencies in periods over the session, several for each independent one."""
-    return np.arange(lowest, highest, 1.0 / _OVERSAMPLED)
-
-
-def _around(frequency: Array, places: IntArray) -> list[float]:
-    """Frequencies at some places, and half a step beside them."""
-    half = 0.5 * float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
-    return [float(frequency[k] + shift) for k in places for shift in (-half, 0.0, half)]
-
-
-def _structure(covariate: str, how: Said, shapes: tuple[ShapedColumns, ...], equally: int = 0) -> Candidate:
-    return Candidate(f"{covariate}: {how}", shapes, equally=equally, dependence=(covariate, how))
 
 
 def _covariates(observations: Observations) -> dict[str, Array]:
@@ -406,32 +272,3 @@ def _rate(time: Array, values: Array) -> Array:
     """Of change, where readings of one moment have the same value."""
     moments, first, place = np.unique(time, return_index=True, return_inverse=True)
     return np.asarray(np.gradient(values[first], moments)[place] if len(moments) > 1 else np.zeros(len(time)))
-
-
-def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) -> Array:
-    """(f,) sum of squares that a sine and a cosine of each frequency explain beside the means of runs.
-
-    Lomb (1976) and Scargle (1982), with a mean of each run; of fast waves the model absorbs little else.
-    """
-    order = np.argsort(run, kind="stable")
-    time, values, run = time[order], values[order], run[order]
-    first, size = np.unique(run, return_index=True, return_counts=True)[1:]
-    values = values - np.repeat(np.add.reduceat(values, first) / size, size)
-    out = np.empty(len(frequency))
-    # Frequencies are equally far apart: multiplied by the same factors, the first wave of a batch gives the others.
-    step = min(max(int(NUMBERS_AT_ONCE / len(time)), 1), len(frequency))
-    factors = _rotating(frequency[:step] - frequency[0], time)
-    begin, onward = _rotating(frequency[0], time), _rotating(step * np.diff(frequency[:2]).sum(), time)
-    for part in (slice(k, k + step) for k in range(0, len(frequency), step)):
-        wave = begin * factors[: len(frequency[part])]
-        begin = begin * onward
-        means = np.add.reduceat(wave, first, axis=1) / size
-        # With z the wave, the sums of z conj(z) and of z z have the products of sine and cosine.
-        both = len(time) - np.abs(means) ** 2 @ size
-        twice = np.einsum("fn,fn->f", wave, wave) - means**2 @ size
-        along = wave @ values
-        determinant = both**2 - np.abs(twice) ** 2
-        explained = 2.0 * (both * np.abs(along) ** 2 - np.real(np.conj(twice) * along**2))
-        seen = determinant > _NO_WAVE * len(time) ** 2
-        out[part] = np.where(seen, explained / np.where(seen, determinant, 1.0), 0.0)
-    return out

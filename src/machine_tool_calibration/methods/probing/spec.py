@@ -19,7 +19,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 )
 from machine_tool_calibration.session.checks.units import FINEST, LARGEST_MACHINE, MILLIMETRES
 from machine_tool_calibration.session.description import Description, Place, Probing
-from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.judgements import GROSS, Held, Judgement
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session, places_among
 
@@ -100,17 +100,19 @@ class ProbingSpec(MethodSpec):
         """Touches against the part as it is described and turned: where they are, and from which side."""
         readings = session.readings
         off = np.linalg.norm(readings.position()[:, :2] - _turned_part(session, "position"), axis=1)
-        # Where the touches are at their points, a few that are not are at other points.
-        beside = _TOUCH_BESIDE if np.median(off) < _AT_POINT else max(_PART_BESIDE, _RADII * _radius(session))
+        # Where the touches are at their points, one that is not is at another point: no reading tells that.
+        near = bool(np.median(off) < _AT_POINT)
+        beside = _TOUCH_BESIDE if near else max(_PART_BESIDE, _RADII * _radius(session))
+        share = 0.0 if near else GROSS
         sense = [readings.columns.get(f"dir_{axis}", np.zeros(len(readings))) for axis in "xy"]
         normal = _turned_part(session, "normal")
         along = np.where(np.abs(normal) > _ALONG, np.column_stack(sense) * np.sign(normal), 0.0)
         against = (along > 0.0).any(axis=1) & (along >= 0.0).all(axis=1)
         touched = "the point that was to be touched, as workpiece, c and rotation_sign place it"
         left = "the outward normal, along which a probe leaves the part"
-        for label, group in (("", None), ("point", groups(readings.labels["point"]))):
+        for label, group in (("point", groups(readings.labels["point"])), ("", None)):
             owner: dict[str, Any] = {"label": label, "group": group}
-            yield Held("the place (x, y)", touched, off, np.full(len(off), beside), **owner)
+            yield Held("the place (x, y)", touched, off, np.full(len(off), beside), share=share, **owner)
             owner |= {"unit": "", "share": _AGAINST, "hint": lambda setup: "are the normals of workpiece reversed?"}
             yield Held("the approach (dir_x, dir_y)", left, against.astype(float), np.full(len(off), 0.5), **owner)
 

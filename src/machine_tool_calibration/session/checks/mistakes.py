@@ -194,10 +194,9 @@ def _words(session: Session, place: Place, held: Held, likelier: str) -> str:
     owner = f"setup {session.setup_ids[setup]!r}"
     if held.label:
         owner = f"{held.label} {str(read.labels[held.label][rows[0]])!r}"
-    return (
-        f"{place.row(read.row[rows[0]])}: {held.what} of {owner} {by}, one of {len(rows)} "
-        f"of its {count} readings that do{f': {likelier}' if likelier else ''}"
-    )
+    several = f"one of {len(rows)} of its {count} readings that do"
+    which = several if len(rows) > 1 else f"the only one of its {count} readings that does"
+    return f"{place.row(read.row[rows[0]])}: {held.what} of {owner} {by}, {which}{f': {likelier}' if likelier else ''}"
 
 
 def _slips(session: Session) -> Iterator[Supposition]:
