@@ -46,6 +46,18 @@ def test_sessions_are_found_in_and_below_folders(measurements: Path, tmp_path: P
 
 
 @pytest.mark.long
+def test_links_are_followed_and_a_folder_is_found_once(measurements: Path, tmp_path: Path) -> None:
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links" / "one").symlink_to(measurements / "mill/x", target_is_directory=True)
+    (tmp_path / "links" / "round").symlink_to(tmp_path / "links", target_is_directory=True)
+    (found,) = places([tmp_path / "links"])
+    assert found.label == "one"
+    assert [one.label for one in places([measurements, tmp_path / "links"])] == [
+        str((measurements / label).relative_to(os.path.commonpath([measurements, tmp_path / "links"])))
+        for label in LABELS
+    ]
+
+
 def test_each_is_identified_as_it_is_alone_with_dask_and_without(measurements: Path, tmp_path: Path) -> None:
     """In the variant of the model that is wanted; the one that is broken has its line."""
     pytest.importorskip("distributed")

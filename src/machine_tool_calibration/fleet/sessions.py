@@ -2,7 +2,7 @@
 """What is worked out of each of many sessions: its result, and for a logbook its sizes and its diagnosis."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -65,13 +65,26 @@ def places(folders: Sequence[Path]) -> list[Place]:
     for folder in folders:
         if not folder.is_dir():
             raise SessionError(f"{folder}: no such folder")
-        own = sorted({file.parent for name in (DESCRIPTION_FILE, OBSERVATIONS_FILE) for file in folder.rglob(name)})
+        own = sorted(_below(folder))
         if not own:
             raise SessionError(f"{folder}: no session ({DESCRIPTION_FILE}, {OBSERVATIONS_FILE}) in it or below it")
         for path in own:
             label = str(path.absolute().relative_to(root))
             found.setdefault(path.resolve(), Place(root.name if label == "." else label, path))
     return sorted(found.values())
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """Session folders in a folder and below, links to folders followed, each real folder once and by its own name."""
+    seen = set[Path]()
+    for at, folders, files in os.walk(folder, followlinks=True):
+        if (real := Path(at).resolve()) in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        folders.sort(key=lambda name: Path(at, name).is_symlink())  # noqa: B023: sorted here and now
+        if {DESCRIPTION_FILE, OBSERVATIONS_FILE}.intersection(files):
+            yield Path(at)
 
 
 def identified(place: Place, fit: Fitting) -> Identified:

@@ -80,6 +80,15 @@ def test_two_targets_exchanged(rotary: SimpleNamespace) -> None:
         build(session.with_readings(replace(session.readings, labels={"target": target})))
 
 
+@pytest.mark.long
+def test_two_targets_exchanged_in_one_setup(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(2, angles=FEW).session
+    names = session.readings.labels["target"].astype(str)
+    target = np.where(session.readings.setup == 2, _exchanged(names, "P", "K"), names)
+    with pytest.raises(ModelError, match="the targets 'K' and 'P' look exchanged in setup 'C'"):
+        build(session.with_readings(replace(session.readings, labels={"target": target})))
+
+
 def test_a_bad_axis_is_no_mistake(rotary: SimpleNamespace) -> None:
     machine = {"random": {"rotary_translation": 1e-4, "rotary_tilt": 3e-4, "rotary_angle": 5e-4}}
     build(rotary.measured(0, machine).session)
