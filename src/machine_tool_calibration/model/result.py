@@ -258,10 +258,11 @@ class Result(Identified):
         """What the data cannot determine, with the reason; a table without any value determined is named as a whole."""
         fit = self.fit
         names = [p.name for p in fit.model.parameters]
-        whole = _whole_terms(fit)
+        unread = _of_unread_setups(fit)
+        whole = _whole_terms(fit) | unread
         out = list(fit.model.left_out) + list(self.error_map.not_determined)
         for k in np.flatnonzero(~fit.determined):
-            own = fit.model.why_not_determined(names[k])
+            own = say("undetermined.none_left") if names[k] in unread else fit.model.why_not_determined(names[k])
             why = own or correlated_with(fit.undetermined, names, int(k), fit.part.n_points > 0)
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):
@@ -324,6 +325,14 @@ def _whole_terms(fit: Fit) -> dict[str, str]:
         if len(term.parameters) > 1 and not any(determined[p.name] for p in term.parameters)
         for parameter in term.parameters
     }
+
+
+def _of_unread_setups(fit: Fit) -> dict[str, str]:
+    """Name of the setup for each parameter of one in which nothing was read."""
+    observed = fit.model.observations
+    read = {observed.session.setup_ids[k] for k in np.unique(observed.readings.setup)}
+    unread = set(observed.session.setup_ids) - read
+    return {parameter.name: parameter.owner for parameter in fit.model.parameters if parameter.owner in unread}
 
 
 FitQuality = Literal["bad", "nearly", "well", "too well"]
