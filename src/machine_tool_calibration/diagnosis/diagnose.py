@@ -82,7 +82,8 @@ class Diagnosis:
     @cached_property
     def suspicious(self) -> list[str]:
         """What is suspicious in the sessions as they were measured, and in the places that the first model found."""
-        return suspicious_fits(self.fits[0].fits, self.chosen.labels, self.chosen.sessions)
+        recorded = [session.as_recorded for session in self.chosen.sessions]
+        return suspicious_fits(self.fits[0].fits, self.chosen.labels, recorded)
 
     @property
     def gross_errors(self) -> tuple[Outlier, ...]:
