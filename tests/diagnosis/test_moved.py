@@ -55,6 +55,7 @@ def test_a_setup_of_its_own_mends_what_a_bumped_station_did(tmp_path) -> None:
     assert np.nanmax(np.abs(off)) < 2.0 * np.nanmax(straight.error_map.uncertainty)
 
 
+@pytest.mark.long
 def test_of_several_targets_the_one_that_was_moved_is_named() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=7)).session
     readings = session.readings
