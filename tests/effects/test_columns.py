@@ -310,6 +310,12 @@ def test_lost_motion_is_as_smooth_as_the_travel_that_was_read_is_short(travel: f
     assert names == [f"b{k}" for k in range(count)]
 
 
+def test_lost_motion_is_no_polynomial_of_any_size_across_a_gap() -> None:
+    """Of five places in three clusters three numbers are known; a polynomial of degree 4 would be 57 times as large."""
+    place = np.tile([-0.0046, -0.00427, 0.03285, 0.04494, 0.04534], 2)
+    assert lost_motion_names(place, np.repeat([1.0, -1.0], 5), {}) == ["b0", "b1", "b2"]
+
+
 def lost_motion_names(place: Array, sense: Array, travel: dict[str, tuple[float, float]]) -> list[str]:
     columns = {"x": place, "dir_x": sense}
     session = SimpleNamespace(description=SimpleNamespace(machine=SimpleNamespace(travel=travel)))

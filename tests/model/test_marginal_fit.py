@@ -14,6 +14,7 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.estimation import variance_components
 from machine_tool_calibration.estimation.marginal import Gram, LogEvidence, log_noise, noise_variance
 from machine_tool_calibration.methods.build import build_model, error_map
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.imperfection import imperfection
@@ -383,3 +384,20 @@ def test_what_every_model_lacks_is_no_larger_for_being_read_again() -> None:
         return error_map(fit.fits[0]).uncertainty[:, :2]
 
     assert rms(uncertainty(8)) == pytest.approx(rms(uncertainty(1)), rel=0.2)
+
+
+def test_a_memory_adds_no_more_than_it_does_to_a_constant_however_large_the_spread() -> None:
+    """Rows that differ and a form that the model lacks: U of a drift had been up to eight times too large."""
+    rng, rows, count = np.random.default_rng(0), 20, 44
+    at = np.concatenate([np.linspace(0.0, 1.0, 4), np.linspace(0.1, 0.9, count - 4)])
+    x, row = np.tile(at, rows), np.repeat(np.arange(rows), count)
+    y = np.where(np.tile(np.arange(count) < 4, rows), 0.0, 0.05 + 0.45 * row / (rows - 1))
+    drift, form = 4e-9, 4.8e-6 * (x - 0.5) * (y - 0.25)
+    columns = {"time": 1.0 * np.arange(len(x)), "x": x, "y": y, "gx": 0 * x, "gy": 0 * x, "gz": 1 + 0 * x}
+    noise = 2.5e-7 * rng.normal(size=len(x)) + 3.5e-7 * rng.normal(size=rows)[row]
+    columns["displacement"] = form + drift * columns["time"] + noise
+    session = plates.session(columns, 3e-7, "rigid", (), row, repeats=rows)
+    found = identify(session, effects=["linear_drift"])
+    assert 1.0 < found.document()["memory_factor"] < 2.0
+    (rate,) = (one for one in found.parameters if one.name == "linear_drift.r")
+    assert abs(rate.value - drift) < 3.0 * rate.standard_uncertainty < 0.3 * drift

@@ -15,6 +15,9 @@ LOST_MOTION_DEGREES = 7
 # How many times larger than at the places that were read a coefficient may be: the k-th power of the travel over what
 # was read of it. Beyond, the readings would ask for more than any machine has, somewhere else.
 _GROWN = 8.0
+# How many times larger than at the places that were read it may be between them (the Lebesgue constant), of no more
+# places than this: a polynomial across a gap is of any size there.
+_BETWEEN, _FEW_PLACES = 10.0, 60
 _POWERS = ("the_same", "power_1", "power_2", "power_3")
 
 
@@ -48,6 +51,8 @@ class LostMotion(ReversalEffect):
         low, high = self._travel(observations)
         share = SAME_POSITION * max(1.0, float(np.ptp(both)) if len(both) else 0.0) / max(high - low, SAME_POSITION)
         powers = min(LOST_MOTION_DEGREES, len(both) - 1, int(1e-9 + np.log(_GROWN) / max(-np.log(share), 0.1)))
+        if len(both) <= _FEW_PLACES:
+            powers = next((k for k in range(powers, 1, -1) if _lebesgue(both, k) < _BETWEEN), min(powers, 1))
         return self.coefficients[: min(max(powers, 1), len(np.unique(place)) - 1) + 1]
 
     def _travel(self, observations: Observations) -> tuple[float, float]:
@@ -63,3 +68,11 @@ class LostMotion(ReversalEffect):
         over = (2.0 * position - low - high) / (high - low)
         series = np.polynomial.legendre.legvander(over, len(self.coefficients_for(observations)) - 1)
         return np.asarray(-series.T * self.approach(observations) * self.along(observations))
+
+
+def _lebesgue(place: Array, power: int) -> float:
+    """Largest value between places of a polynomial fitted to values of size 1 there (Trefethen 2019, chapter 15)."""
+    over = 2.0 * (place - place[0]) / np.ptp(place) - 1.0
+    between = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, 4 * _FEW_PLACES), power)
+    fitted = between @ np.linalg.pinv(np.polynomial.legendre.legvander(over, power))
+    return float(np.abs(fitted).sum(axis=1).max())

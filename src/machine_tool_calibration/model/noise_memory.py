@@ -58,7 +58,8 @@ def added_by_memory(
         return beyond
     root = root_of(covariance)
     more, directions = np.linalg.eigh(root.T @ beyond @ root)
-    root = root @ directions
+    # No more than for a constant; a mean over several sizes of what does not reproduce has more than its noise.
+    more, root = np.minimum(more, memory.readings_per_independent - 1.0), root @ directions
     dof = solution.degrees_of_freedom
     variance = min(squares / dof, float(noise_variance(squares, dof))) / scatter**2
     # The unknowns take up what is slow: of such noise n - tr(R C A A^T) times its variance is left.

@@ -64,8 +64,9 @@ class Pool:
     def residuals_beside(self, change: Array) -> Array:
         """(n,) measured minus predicted, m, of the fit to the readings without a change of these, m."""
         fit, shifts = self.fit.without_random, [-change[piece] for piece in self.pieces]
-        try:  # what is displaced may have moved unknowns far along directions that hardly show, where steps are curved
-            fit = changed(fit, shifts, again=not all(part.linear for part in fit.assembly.problem.parts))
+        curved = change.any() and not all(part.linear for part in fit.assembly.problem.parts)
+        try:  # what is displaced may have moved unknowns far along directions that hardly show
+            fit = changed(fit, shifts, again=bool(curved))
         except ModelError:
             fit = changed(fit, shifts)
         return np.concatenate([own.residuals for own in fit.fits]) - change
