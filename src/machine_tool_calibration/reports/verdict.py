@@ -345,7 +345,10 @@ def _may_be_of_an_axis(diagnosis: Diagnosis) -> Iterator[Said]:
         for axis, way in moved.items():
             if len(moved) == 1 and abs(np.sign(way).sum()) == len(way):
                 yield say("diagnosis.time_is_place", axis=axis)
-            elif diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}") and (way < 0.0).any():
+            # Of an axis that turned again and again a reversal goes with no course of time.
+            turns = np.count_nonzero(np.diff(np.sign(way[np.abs(way) > SAME_POSITION])))
+            unknown = diagnosis.excluded.get(f"backlash_{axis}") == unrecorded(f"dir_{axis}")
+            if unknown and 0 < turns <= _ONE_REVERSAL:
                 yield say("diagnosis.unrecorded_direction", axis=axis)
 
 
