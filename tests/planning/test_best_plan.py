@@ -123,6 +123,7 @@ def test_stations_on_one_side_are_spread_and_the_plan_is_a_procedure(found: Best
     assert float(own[np.isfinite(own)].max()) == pytest.approx(found.best.largest, rel=1e-6)
 
 
+@pytest.mark.long
 def test_the_bound_holds_for_every_plan_of_a_small_offer() -> None:
     offered = offer(PLANE, "plane")
     candidates = _candidates(offered)
@@ -139,6 +140,7 @@ def test_the_bound_holds_for_every_plan_of_a_small_offer() -> None:
     assert best.largest == pytest.approx(exact, rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_bound_is_raised_until_it_is_close_or_above_the_plan() -> None:
     """From round to round; one that is above the plan's variance says no more than that at once."""
     offered = offer(PLANE, "plane")

@@ -37,6 +37,7 @@ def of_three(simulated: Simulated) -> Dominant:
     return _of(simulated("step_diagonal", plan={**THREE, **LONG}))
 
 
+@pytest.mark.long
 def test_three_diagonals_lack_the_fourth(simulated: Simulated, of_three: Dominant) -> None:
     found = of_three
     assert found.cause == "angular errors"

@@ -126,6 +126,7 @@ def test_repeats_that_agree_better_than_declared_make_no_reading_better() -> Non
     assert uncertainty(found, "EXX") == pytest.approx(20e-6 / np.sqrt(REPEATS), rel=0.05)
 
 
+@pytest.mark.long
 def test_in_several_sessions_each_reading_counts_by_its_own_noise() -> None:
     """One session reads X well and Y badly, twice, another one both well, ten times: that one leads."""
     off, sure = [], []
