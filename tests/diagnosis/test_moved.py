@@ -71,6 +71,15 @@ def test_of_several_targets_the_one_that_was_moved_is_named() -> None:
     assert f"if {name} was moved" in next_step(found, Advice())
 
 
+def test_a_wavelength_of_one_station_is_told_as_a_scale_of_its_own() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=7)).session
+    scale = np.where(session.readings.setup == SECOND, 1e-5, 0.0)
+    read = session.readings.displacement + scale * build_model(session)[0].observations.path
+    found = diagnose(session.with_readings(replace(session.readings, displacement=read)))
+    assert not any("thermal" in name for name in found.accepted)
+    assert found.left[0].shape.key == "shape.path_scales"
+
+
 def test_a_reversal_is_none_of_an_angle_where_each_axis_moved_along_one_line() -> None:
     places, rng = np.linspace(0.0, 0.4, 9), np.random.default_rng(1)
     x = np.tile(np.concatenate([places, places[::-1]]), 3)

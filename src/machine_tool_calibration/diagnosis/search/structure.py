@@ -181,10 +181,15 @@ def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said,
 
 
 def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    """Parts, meshes and mountings that differ by tilts, scales and squareness."""
+    """Parts, meshes and mountings that differ by tilts, scales and squareness, or beams by their wavelength."""
     setup = observations.readings.setup
     own = setup == np.unique(setup)[:, None]
-    if not spec_of(observations.session).reads_machine or not 2 <= len(own) <= _MOST_SETUPS:
+    if not 2 <= len(own) <= _MOST_SETUPS:
+        return
+    if not spec_of(observations.session).reads_machine:
+        path = within(observations.path, setup)
+        if path.any():
+            yield named("column", "setup"), say("shape.path_scales"), own * path
         return
     directions = _read_along(observations)
     for shape, k in (("slopes", 0), ("bends", 1)):
