@@ -72,10 +72,7 @@ class Spread(Record):
 
     def values(self) -> list[float]:
         """The positions; the ends are exact."""
-        if self.count == 1:
-            return [self.first]
-        step = (self.last - self.first) / (self.count - 1)
-        return [self.first + step * i for i in range(self.count - 1)] + [self.last]
+        return [*map(float, np.linspace(self.first, self.last, self.count))]
 
 
 class Path(Record):

@@ -73,10 +73,7 @@ class Disturbance:
 
     def added(self, sight: Sight) -> Array:
         """(n,) the sum of what is added to the reading, m: excess of the optical path and the rest."""
-        total: Array = self.optical * sight.path + self.dead
-        for function in self.reading:
-            total = total + function(sight)
-        return total
+        return sum((function(sight) for function in self.reading), self.optical * sight.path + self.dead)
 
 
 def combine(parts: tuple[Disturbance, ...]) -> Disturbance:

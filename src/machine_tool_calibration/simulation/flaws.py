@@ -87,10 +87,8 @@ def _mirror(size: float, given: Parameters, scene: Scene) -> Disturbance:
 
 def _harmonics(angle: Array, given: Parameters) -> Array:
     """Sum of w cos(k angle + phase) over the orders k."""
-    total = np.zeros(np.shape(angle))
-    for order, weight, phase in zip(given["orders"], given["weights"], given["phases"], strict=True):
-        total = total + weight * np.cos(order * angle + phase)
-    return total
+    waves = zip(given["orders"], given["weights"], given["phases"], strict=True)
+    return sum((weight * np.cos(order * angle + phase) for order, weight, phase in waves), np.zeros(np.shape(angle)))
 
 
 def _phases(rng: np.random.Generator, _: Scene | None) -> Parameters:
@@ -168,11 +166,8 @@ def _moment(rng: np.random.Generator, scene: Scene | None) -> Parameters:
 
 def _product(size: float, _: Parameters, scene: Scene) -> Disturbance:
     """The structure twists: an error in all directions with the product x y, as no rigid body has."""
-    shape = np.ones(len(scene))
-    for axis in "XY":
-        low, high = scene.ends.get(axis, (0.0, 1.0))
-        shape = shape * (scene.along(axis) / max(abs(low), abs(high)))
-    return Disturbance(point=size * shape[:, None] * np.array([1.0, 1.0, 0.0]))
+    x, y = (scene.along(axis) / np.abs(scene.ends.get(axis, (0.0, 1.0))).max() for axis in "XY")
+    return Disturbance(point=size * (x * y)[:, None] * np.array([1.0, 1.0, 0.0]))
 
 
 def _rate(size: float, given: Parameters, scene: Scene) -> Disturbance:

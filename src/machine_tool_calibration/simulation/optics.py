@@ -5,7 +5,9 @@ A target is where the light turns round; its path is computed from the true geom
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -146,17 +148,18 @@ class _Bar(Optics):
         return Sight(length, arm / length[:, None])
 
 
+_OPTICS: Mapping[type[sessions.Description], Callable[[Site, Any], Optics]] = {
+    sessions.TrackingInterferometer: OnTool,
+    sessions.RotaryAxis: _OnTable,
+    sessions.StepDiagonal: _FlatMirror,
+    sessions.Direct: _Along,
+    sessions.BallBar: _Bar,
+}
+
+
 def make_optics(site: Site, description: sessions.Description) -> Optics:
     """The optics of a session's method; a CalibrationError if that has no interferometer."""
-    match description:
-        case sessions.TrackingInterferometer():
-            return OnTool(site, description)
-        case sessions.RotaryAxis():
-            return _OnTable(site, description)
-        case sessions.StepDiagonal():
-            return _FlatMirror(site, description)
-        case sessions.Direct():
-            return _Along(site, description)
-        case sessions.BallBar():
-            return _Bar(site, description)
+    for kind, made in _OPTICS.items():
+        if isinstance(description, kind):
+            return made(site, description)
     raise CalibrationError(f"no interferometer measures a {description.method} session")

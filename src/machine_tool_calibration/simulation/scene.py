@@ -24,10 +24,8 @@ class Drift:
 
     def __call__(self, time: Array) -> Array:
         """Values at times (n,), s."""
-        value = self.mean + self.slope * time
-        for amplitude, period, phase in self.waves:
-            value = value + amplitude * np.sin(2.0 * np.pi * time / period + phase)
-        return value
+        waves = (a * np.sin(2.0 * np.pi * time / period + phase) for a, period, phase in self.waves)
+        return sum(waves, self.mean + self.slope * time)
 
     def lagged(self, time: Array, lag: float) -> Array:
         """(n,) what follows the quantity with a first-order lag, s, and was as it at time zero: lag y' = value - y."""
@@ -42,10 +40,8 @@ class Drift:
 
     def rate(self, time: Array) -> Array:
         """Change per second at times (n,), s."""
-        value = np.full(np.shape(time), self.slope)
-        for amplitude, period, phase in self.waves:
-            value = value + amplitude * 2.0 * np.pi / period * np.cos(2.0 * np.pi * time / period + phase)
-        return value
+        waves = ((a * 2.0 * np.pi / t) * np.cos(2.0 * np.pi * time / t + phase) for a, t, phase in self.waves)
+        return sum(waves, np.full(np.shape(time), self.slope))
 
 
 @dataclass(frozen=True)
@@ -137,10 +133,7 @@ def last_direction(command: Array, initial: float = 1.0) -> Array:
 
 def blocks(*keys: IntArray) -> IntArray:
     """(n,) number, from 0, of the stretch of consecutive readings that share all keys."""
-    new = np.zeros(len(keys[0]), bool)
-    for key in keys:
-        new[1:] |= key[1:] != key[:-1]
-    return np.cumsum(new)
+    return np.cumsum(np.any([np.diff(key, prepend=key[:1]) != 0 for key in keys], axis=0))
 
 
 def ordered_times(setup: IntArray, interval: float, pause: float) -> Array:

@@ -95,7 +95,10 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
 
     noise = plan.noise if spec.noise is None else spec.noise
     displacement, hit = _read(spec, measurement, raw, noise, rng)
-    session = Session(_describe(spec, measurement, flawed, noise), _readings(measurement, displacement), "simulation")
+    scene, columns = measurement.scene, {**measurement.scene.columns, **measurement.columns}
+    row = np.arange(len(scene))
+    readings = Readings(scene.setup, scene.repeat, displacement, columns, measurement.labels, row)
+    session = Session(_describe(spec, measurement, flawed, noise), readings, "simulation")
     wrong, expected = np.flatnonzero(hit), measurement.truth(flawed)
     truth = Truth(spec.seed, flawed, chosen, clean, clean - before, wrong, measurement.datum, expected)
     return Simulated(session, truth)
@@ -209,9 +212,3 @@ def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMa
         **({"known": known} if known else {}),
     }
     return describe(whole, "simulation")
-
-
-def _readings(measurement: Measurement, displacement: Array) -> Readings:
-    scene = measurement.scene
-    columns = {**scene.columns, **measurement.columns}
-    return Readings(scene.setup, scene.repeat, displacement, columns, measurement.labels, np.arange(len(scene)))
