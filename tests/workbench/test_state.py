@@ -125,7 +125,7 @@ def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
 def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> None:
     state = opened(hidden)
     readings = Readings(state)
-    state.watch(readings.refresh)
+    state.tell = readings.refresh
     readings.refresh()
     before = np.array(readings.data["residual"])
     readings.select([5, 6])
@@ -257,7 +257,7 @@ def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> Non
     names = [state.subject.name(number) for number in sorted(state.model.aside)]
     assert names == ["struck:20", "struck:90", "struck:150"]
     readings = Readings(state)
-    state.watch(readings.refresh)
+    state.tell = readings.refresh
     readings.refresh()
     data = readings.data
     assert len(data["row"]) == 2 * count and data["row"][count] == "struck:0"

@@ -99,11 +99,6 @@ def _declared() -> Iterator[Callable[[Any], Any]]:
 _foreign_options = shared.options(*_declared())
 
 
-def _only_form(given: dict[str, Any]) -> bool:
-    """Whether nothing is said of a foreign table but how its text is written, and that its sizes are right."""
-    return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header", "trust_units"))
-
-
 def _file_form(given: dict[str, Any]) -> dict[str, Any]:
     """What the options say of how a table's text is written."""
     form = {key: given[key] or None for key in _FORM}
@@ -325,7 +320,9 @@ def _own_table(
     """The session of a table that is written like observations.csv; None if SOURCE is no such table."""
     from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
-    if len(sources) > 1 or setup_name or not _only_form(foreign):
+    # beside how a table's text is written, and that its sizes are right
+    more = any(value for key, value in foreign.items() if key not in (*_FORM, "decimal", "no_header", "trust_units"))
+    if len(sources) > 1 or setup_name or more:
         raise click.UsageError("several sources and options for tables of other programs need --table or --mapping")
     source = sources[0]
     form = _file_form(foreign)

@@ -41,16 +41,12 @@ class MapError:
     @property
     def rms(self) -> float:
         """Root mean square length of the difference, m."""
-        return _rms_length(self.difference)
+        return rms(np.linalg.norm(self.difference, axis=1))
 
     @property
     def largest(self) -> float:
         """Greatest length of the difference, m."""
         return float(np.linalg.norm(self.difference, axis=1).max())
-
-
-def _rms_length(field: Array) -> float:
-    return rms(np.linalg.norm(field, axis=1))
 
 
 def map_error(points: Array, identified: Array, true: Array, free: Array | None = None) -> MapError:
@@ -71,7 +67,7 @@ def map_error(points: Array, identified: Array, true: Array, free: Array | None 
         found = np.linalg.lstsq(motions, field.ravel(), rcond=None)[0]
         return np.asarray(field - (motions @ found).reshape(count, d))
 
-    return MapError(without(identified - true), _rms_length(without(true)))
+    return MapError(without(identified - true), rms(np.linalg.norm(without(true), axis=1)))
 
 
 COMPARED = {

@@ -67,9 +67,8 @@ def readings_bar() -> Iterator[Progress]:
 def result_table(measured: Measured) -> TextTable:
     """The measurement's figures."""
     rows = [("measured", f"{len(measured.session.readings)} readings in {measured.seconds[1]:.1f} s")]
-    for name in ("unstable", "recoveries", "restarts"):
-        if number := measured.counters.get(name):
-            rows.append((name, str(number)))
+    counted = (name for name in ("unstable", "recoveries", "restarts") if measured.counters.get(name))
+    rows += [(name, str(measured.counters[name])) for name in counted]
     if measured.result is not None:
         rows += summary_rows(measured.result)
     return TextTable("", ("", ""), tuple(rows))
@@ -77,6 +76,7 @@ def result_table(measured: Measured) -> TextTable:
 
 def files_table(measured: Measured, more: Sequence[tuple[str, Path]] = ()) -> TextTable:
     """Where everything is."""
-    own = {"recording": measured.bag, "session": measured.session_folder, "result": measured.result_file}
+    result = measured.output / "result.json" if measured.result is not None else None
+    own = {"recording": measured.bag, "session": measured.session_folder, "result": result}
     rows = [*own.items(), *more, ("logs of the nodes", measured.output / "log")]
     return TextTable("", ("", ""), tuple((name, str(path)) for name, path in rows if path is not None))

@@ -92,11 +92,6 @@ class Measured:
         """The session as files."""
         return self.output / "session"
 
-    @property
-    def result_file(self) -> Path | None:
-        """The result's file, if there is one."""
-        return self.output / "result.json" if self.result is not None else None
-
 
 class _Listeners:
     """Watches the graph: a node that only listens is started again when it ends, any other ends the measurement."""

@@ -75,7 +75,6 @@ class _Outlet:
     publisher: Publisher
     depth: int
     reliable: bool
-    latched: bool
     unacknowledged: int = 0
 
     def send(self, data: bytes) -> None:
@@ -151,8 +150,7 @@ class Player(ManagedNode):
                 continue
             offered = _offered(topic)
             publisher = self.create_publisher(kind, name, qos_profile(offered))
-            reliable = offered.reliability == "reliable"
-            outlets[name] = _Outlet(publisher, offered.depth, reliable, offered.latched)
+            outlets[name] = _Outlet(publisher, offered.depth, offered.reliability == "reliable")
         return outlets
 
     def _tick(self) -> None:

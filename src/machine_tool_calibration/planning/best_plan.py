@@ -183,10 +183,11 @@ def quickest_plan(
 
 def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
     """What every candidate tells of the map or of effects `told`, (q, 3) places, and whether a budget is in it."""
-    everything = every_setup = _foretold(offered.procedure, assumed, told)
+    everything = mapped = _foretold(offered.procedure, assumed, told)
     if offered.choices.targets:  # the map is wanted where it is now
-        every_setup = _foretold(offered.procedure_of(offered.every_setup), assumed, told)
-    known = effect_sizes(everything, told) if told else map_errors(every_setup)
+        every_setup = Choice(tuple(range(len(offered.setups))), offered.present.targets, 1)
+        mapped = _foretold(offered.procedure_of(every_setup), assumed, told)
+    known = effect_sizes(everything, told) if told else map_errors(mapped)
     observed = everything.assembly.models[0].observations
     shared = assumed.errors(observed)
     candidates = Candidates(everything, offered.unit_of(observed), known, shared)

@@ -89,11 +89,6 @@ class Offer:
         out[np.ix_(choice.setups, choice.targets)] = self.in_each_sense(choice.repeats)
         return out.reshape(-1)
 
-    @property
-    def every_setup(self) -> Choice:
-        """All setups with the targets of the procedure as it stands, once."""
-        return Choice(tuple(range(len(self.setups))), self.present.targets, 1)
-
     @cached_property
     def seconds(self) -> float:
         """Time that is allowed, s."""

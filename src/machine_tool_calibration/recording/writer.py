@@ -185,10 +185,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         summary = self.summaries[-1]
         summary.messages += 1
         summary.by_topic[topic] = summary.by_topic.get(topic, 0) + 1
-        if log_time < summary.first:
-            summary.first = log_time
-        if log_time > summary.last:
-            summary.last = log_time
+        summary.first, summary.last = min(summary.first, log_time), max(summary.last, log_time)
         self.tick()
 
     def tick(self) -> None:

@@ -32,8 +32,6 @@ from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 from machine_tool_calibration.words import say
 
-"""Told what is being done, and the share that is finished."""
-
 
 @dataclass(frozen=True)
 class Model:

@@ -70,7 +70,7 @@ class _Window:
         self._document = pn.state.curdoc
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
-        self._state.watch(self._changed)
+        self._state.tell = self._changed
         # A page is made when it is first looked at, and filled when it is looked at and stale: what a browser does not
         # show costs it nearly as much as what it shows.
         shared = self._state, self._readings, self._work

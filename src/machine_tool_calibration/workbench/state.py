@@ -59,7 +59,7 @@ class Job:
 
 
 class State:
-    """One window's work. Everything that changes it tells those who watch it."""
+    """One window's work. Everything that changes it tells the one who watches it."""
 
     def __init__(self, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> None:
         self.paths: tuple[Path, ...] = ()  # of the measurement; several are of one machine
@@ -73,11 +73,8 @@ class State:
         self._given = tuple(own)
         self._subject: Subject | None = None
         self._prints: tuple[str, ...] = ()
-        self._watchers: list[Callable[[], None]] = []
-
-    def watch(self, tell: Callable[[], None]) -> None:
-        """Have something called whenever another model is in use, or another measurement."""
-        self._watchers.append(tell)
+        # called whenever another model is in use, or another measurement
+        self.tell: Callable[[], None] = lambda: None
 
     @property
     def subject(self) -> Subject:
@@ -248,8 +245,7 @@ class State:
 
     def _tell(self, furthest: Model | None = None) -> None:
         self.furthest = furthest or self.models[-1]
-        for tell in self._watchers:
-            tell()
+        self.tell()
 
     def _keep(self, change: Callable[[History], History]) -> None:
         """Change the history; where its file cannot be written this window's own."""
