@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.machine_file import merged, random_machine
+from machine_tool_calibration.simulation.machine_file import Amplitudes, merged, random_machine
 from machine_tool_calibration.simulation.motions import (
     AxisMotion,
     Table,
@@ -131,7 +131,7 @@ def test_a_shift_of_the_table_acts_in_its_own_sense():
 
 
 def test_tabulated_machine_agrees_at_the_nodes_and_is_straight_between():
-    smooth = random_machine("w-b-X-Y-t", {"x": (0, 0.4), "y": (0, 0.4)}, 3)
+    smooth = random_machine(Chain.parse("w-b-X-Y-t"), {"X": (0.0, 0.4), "Y": (0.0, 0.4)}, 3, Amplitudes(), 1)
     nodes = (0.0, 0.1, 0.2, 0.3, 0.4)
     table = smooth.tabulated({"X": nodes})
     np.testing.assert_allclose(table.motion("EXX", np.array(nodes)), smooth.motion("EXX", np.array(nodes)), atol=1e-18)

@@ -51,7 +51,6 @@ class DirectPlan(Plan):
     both_ways: bool = False  # every run goes back (always so for iso230_2)
     # how often part or instrument is set up; each is a setup with its own misplacement
     mountings: Annotated[int, Field(ge=1, le=1000)] = 1
-    repeats: Annotated[int, Field(ge=1, le=10000)] = 1
     interval: Interval = 5.0
     pause: Pause = 0.0
     noise: Positive = 2e-7

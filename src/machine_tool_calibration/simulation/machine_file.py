@@ -34,21 +34,13 @@ class Amplitudes(Record):
 
 
 def random_machine(
-    chain: Chain | str,
-    travel: Mapping[str, tuple[float, float]],
-    seed: int | np.random.Generator = 0,
-    amplitudes: Amplitudes | None = None,
-    *,
-    rotation_sign: int = 1,
+    chain: Chain, ends: Mapping[str, tuple[float, float]], seed: int | np.random.Generator, size: Amplitudes, sign: int
 ) -> VirtualMachine:
     """A machine with smooth random error motions of some sizes, the same for the same seed or source of chance.
 
-    Each linear axis of the chain must have a travel, its lower and upper end by letter (either case), m.
+    Each linear axis of the chain must have a travel, its lower and upper end by letter, m.
     """
-    chain = Chain.parse(chain) if isinstance(chain, str) else chain
     rng = np.random.default_rng(seed)
-    size = amplitudes or Amplitudes()
-    ends = {name.upper(): (float(low), float(high)) for name, (low, high) in travel.items()}
     motions = {}
     for axis in "XYZABC":  # always in this order, so that the errors do not depend on the chain's
         if axis in chain.linear and axis not in ends:
@@ -65,7 +57,7 @@ def random_machine(
         across = [i for i in range(3) if "ABC"[i] != axis]
         line |= {f"{'XYZ'[i]}0{axis}": float(rng.uniform(-1, 1) * size.line_position) for i in across}
         line |= {f"{'ABC'[i]}0{axis}": float(rng.uniform(-1, 1) * size.line_orientation) for i in across}
-    return VirtualMachine(chain, motions, squareness, line, ends, rotation_sign)
+    return VirtualMachine(chain, motions, squareness, line, ends, sign)
 
 
 def _motion(
@@ -154,7 +146,7 @@ def build_machine(
     sign = spec.rotation_sign or rotation_sign
     if spec.random is not None:
         sizes = spec.random if random is None or "random" in spec.model_fields_set else random
-        machine = random_machine(parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign)
+        machine = random_machine(parsed, ends, seed if spec.seed is None else spec.seed, sizes, sign)
     else:
         machine = VirtualMachine(parsed, travel=ends, rotation_sign=sign)
     tables = []

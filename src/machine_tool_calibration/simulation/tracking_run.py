@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.session.record import Finite, NotNegative, Positive
+from machine_tool_calibration.session.record import Finite, NotNegative
 from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
@@ -57,7 +57,6 @@ class TrackingPlan(plan.Plan, Pointer):
     # every second repeat runs backwards (`alternate`), or all run alike (`same`)
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
-    noise: Positive = 3e-7
 
     @model_validator(mode="after")
     def _check(self) -> TrackingPlan:

@@ -44,14 +44,7 @@ class _Roots(pn.Template):  # type: ignore[misc]
             return super()._init_doc(doc, *more, **named)
 
 
-def window(
-    targets: Sequence[Path],
-    own: Sequence[PhysicalEffect] = (),
-    variant: str | None = None,
-    *,
-    feed: Feed,
-    live: bool = False,
-) -> Any:
+def window(targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str | None, feed: Feed, live: bool) -> Any:
     """A new window with its own state, as Panel serves it; arguments as of `serve`.
 
     The place of every block of every page is a root of the document: whatever changes in a block, a browser lays out

@@ -78,7 +78,7 @@ def serve(
     feed = Feed(own, variant, domain, namespace)
     token = secrets.token_urlsafe(24)
     server = get_server(
-        {"workbench": lambda: window(targets, own, variant, feed=feed, live=live)},
+        {"workbench": lambda: window(targets, own, variant, feed, live)},
         port=port,
         address=_HERE,
         title=" · ".join([*(target.absolute().name for target in targets), "mtcal workbench"]),

@@ -111,13 +111,7 @@ class Outcomes:
             answer.send(not kind, goal_sentence(goal, text))
 
     def tell(
-        self,
-        verb: str,
-        goal: str,
-        stamp: int,
-        text: str,
-        values: Mapping[str, object],
-        level: messages.Level = messages.Level.OK,
+        self, verb: str, goal: str, stamp: int, text: str, values: Mapping[str, object], level: messages.Level
     ) -> None:
         """Publish an outcome of the goal of that id, at a time, ns."""
         status = messages.status(verb, level, text, values, goal)
