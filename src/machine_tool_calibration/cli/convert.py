@@ -173,11 +173,8 @@ def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 def _units(texts: Sequence[str]) -> dict[str, str]:
     from machine_tool_calibration.units import dimension
 
-    out = {}
-    for text in texts:
-        name, mark, unit = (part.strip() for part in text.rpartition("="))
-        out[name if mark else dimension(unit)] = unit
-    return out
+    named = ([part.strip() for part in text.rpartition("=")] for text in texts)
+    return {name if mark else dimension(unit): unit for name, mark, unit in named}
 
 
 @click.command("convert")

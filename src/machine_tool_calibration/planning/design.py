@@ -135,9 +135,6 @@ class Candidates:
             _information(part, columns[mine], own[mine], point[mine], weighted[:, mine])
             for mine in (unit == u for u in range(self.count))
         ]
-        touched = np.zeros((self.count, self.size), dtype=bool)
-        for u, information in enumerate(self.units):
-            touched[u, information.seen] = np.diag(information.shared) > 0
         priors = problem.priors
         self._priors = np.zeros((0, self.size)) if priors is None else priors.columns / priors.sigma[:, None]
         # What priors or the datum tie together is there as a whole.
@@ -145,8 +142,8 @@ class Candidates:
         count, family = connected_components(tied.T.astype(int) @ tied.astype(int))
         self._family = np.asarray(family, dtype=np.int64)
         families = np.zeros((self.count, int(count)), dtype=bool)
-        for u, seen in enumerate(touched):
-            families[u, self._family[seen]] = True
+        for u, one in enumerate(self.units):
+            families[u, self._family[one.seen[np.diag(one.shared) > 0]]] = True
         self._families, self._never = families, ~families.any(axis=0)
         # what everything at once determines: the yardstick for what a plan leaves open
         everything = self.variances(np.ones(self.count))

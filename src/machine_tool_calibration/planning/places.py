@@ -34,14 +34,12 @@ def further_runs(session: Session, description: StepDiagonal) -> Iterator[Option
     """Runs that were not made: missing space diagonals, linear runs off the edges, other orders of moves."""
     runs = runs_of(description)
     used = np.unique(session.readings.setup).tolist()
-    yield from _diagonals(session, description, runs, used)
-    yield from _offset(session, description, runs, used)
-    yield from _orders(session, description, runs, used)
+    yield from _diagonals(session, runs, used)
+    yield from _offset(session, runs, used)
+    yield from _orders(session, runs, used)
 
 
-def _diagonals(
-    session: Session, description: StepDiagonal, runs: Sequence[Run], used: Sequence[int]
-) -> Iterator[Option]:
+def _diagonals(session: Session, runs: Sequence[Run], used: Sequence[int]) -> Iterator[Option]:
     """The space diagonals that no setup runs, in the order of moves of the first that was run."""
     like = [k for k in used if np.all(runs[k].sign)]
     made = {tuple((runs[k].sign * runs[k].sign[2]).tolist()) for k in like}  # run towards increasing z
@@ -55,10 +53,10 @@ def _diagonals(
         start = tuple(np.where(np.array(sign) > 0, low, high).tolist())
         new.append((like[0], {"id": name, "direction": sign, "start": start}))
     names = together((changed["id"][:3] for _, changed in new), say("text.and"))
-    yield _option(session, description, new, "diagonal", say("measure.diagonals", n=len(new), names=names))
+    yield _option(session, new, "diagonal", say("measure.diagonals", n=len(new), names=names))
 
 
-def _offset(session: Session, description: StepDiagonal, runs: Sequence[Run], used: Sequence[int]) -> Iterator[Option]:
+def _offset(session: Session, runs: Sequence[Run], used: Sequence[int]) -> Iterator[Option]:
     """Linear runs as they were made, with each other axis at its far end."""
     low, high = _reach(runs, used)
     linear = [k for k in used if not runs[k].diagonal]
@@ -78,11 +76,10 @@ def _offset(session: Session, description: StepDiagonal, runs: Sequence[Run], us
                 new.append((k, {"id": f"{runs[k].order.upper()}_at_{'xyz'[axis]}", "start": tuple(start.tolist())}))
     if new:
         axes = ", ".join(dict.fromkeys(runs[k].order.upper() for k, _ in new))
-        words = say("measure.offset", axes=axes)
-        yield _option(session, description, new, "offset", words)
+        yield _option(session, new, "offset", say("measure.offset", axes=axes))
 
 
-def _orders(session: Session, description: StepDiagonal, runs: Sequence[Run], used: Sequence[int]) -> Iterator[Option]:
+def _orders(session: Session, runs: Sequence[Run], used: Sequence[int]) -> Iterator[Option]:
     """Every diagonal in an order of the single-axis moves in which it was not run."""
     for order in _ORDERS:
         have = {(runs[k].name, runs[k].order) for k in used}
@@ -91,7 +88,7 @@ def _orders(session: Session, description: StepDiagonal, runs: Sequence[Run], us
         if todo:
             new = [(k, {"id": f"{name}_{order}"}) for name, k in todo.items()]
             words = say("measure.diagonal_order", names=", ".join(todo), order=order.upper())
-            yield _option(session, description, new, "order", words)
+            yield _option(session, new, "order", words)
 
 
 def _reach(runs: Sequence[Run], used: Sequence[int]) -> tuple[Array, Array]:
@@ -100,10 +97,9 @@ def _reach(runs: Sequence[Run], used: Sequence[int]) -> tuple[Array, Array]:
     return ends.min(axis=0), ends.max(axis=0)
 
 
-def _option(
-    session: Session, description: StepDiagonal, new: Sequence[tuple[int, dict[str, Any]]], kind: str, words: str
-) -> Option:
+def _option(session: Session, new: Sequence[tuple[int, dict[str, Any]]], kind: str, words: str) -> Option:
     """Runs that are made once, each at the pace of one that was made, with what its setup says otherwise."""
+    description = session.description.as_a(StepDiagonal)
     setups = list(description.setups)
     rows, position, sign, displacement, setup = [], [], [], [], []
     for like, changed in new:
@@ -126,12 +122,12 @@ def _option(
     return Option.of(session, kind, words, extended, _MOUNTED)
 
 
-def _in_one_more(session: Session, setup: Setup, changed: Changed) -> tuple[Session, float | None]:
-    """The session followed by readings in a setup that is new, and their time, s."""
+def _in_one_more(session: Session, setup: Setup, changed: Changed, kind: str, words: str, aside: str = "") -> Option:
+    """The session followed by readings in a setup that is new."""
     description = session.description
     whole = description.model_copy(update={"setups": (*description.setups, setup)})
     new = np.full(len(changed.rows), len(description.setups), dtype=np.int64)
-    return appended(session, changed, new, whole)
+    return Option.of(session, kind, words, appended(session, changed, new, whole), aside)
 
 
 def further_stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:
@@ -163,8 +159,8 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
             if description.axes == "xy":
                 changed["elevation"] = np.zeros(len(points))
         words = say(f"measure.{where}", place=", ".join(f"{v:.2f}" for v in place))
-        extended = _in_one_more(session, setup, Changed(rows, changed, distance - distance[0]))
-        yield Option.of(session, "station", words, extended, "setting up the instrument")
+        readings = Changed(rows, changed, distance - distance[0])
+        yield _in_one_more(session, setup, readings, "station", words, "setting up the instrument")
 
 
 def further_angles(session: Session, description: Probing) -> Iterator[Option]:
@@ -198,5 +194,5 @@ def _at_index(session: Session, description: Probing, like: int, c: float) -> It
         if f"dir_{axis}" in readings.columns:
             changed[f"dir_{axis}"] = np.where(normal[:, j] > 0, -1.0, 1.0)
     setup = description.setups[like].model_copy(update={"id": fresh_id("new", session.setup_ids), "c": c})
-    extended = _in_one_more(session, setup, Changed(rows, changed))
-    yield Option.of(session, "index", say("measure.angle", angle=f"{np.degrees(c):.0f}"), extended)
+    words = say("measure.angle", angle=f"{np.degrees(c):.0f}")
+    yield _in_one_more(session, setup, Changed(rows, changed), "index", words)

@@ -114,8 +114,8 @@ def _views(injected: Injected) -> list[_View]:
         if axis and (axis not in own or shown.sum() < len(observations) // 8):
             continue
         parts = [np.asarray(v[shown] / along[shown]) for v in (comparison.fit.residuals, injected.change)]
-        picked = {name: v[shown] for name, v in values.items() if not (axis and " along " in name)}
-        picked = {name: v for name, v in picked.items() if np.ptp(v) > 0}
+        told = (name for name in values if not (axis and " along " in name))
+        picked = {name: values[name][shown] for name in told if np.ptp(values[name][shown]) > 0}
         for name, share in rank_covariates(picked, parts[1] if injected.taken_up else parts[0], _BINS):
             bonus = _OWN * len(set(name.split(" along ")) & own)
             ranked.append((share + bonus, _View(name, what, shown, *parts)))

@@ -225,12 +225,8 @@ def _smooth_runs(contour: Contour) -> list[list[Segment]]:
     elif corner.any():
         first = int(np.flatnonzero(corner)[0])
         segments, corner = segments[first:] + segments[:first], np.roll(corner, -first)
-    runs: list[list[Segment]] = [[segments[0]]]
-    for segment, begins in zip(segments[1:], corner[1:], strict=True):
-        if begins:
-            runs.append([])
-        runs[-1].append(segment)
-    return runs
+    begins = [0, *(np.flatnonzero(corner[1:]) + 1).tolist(), len(segments)]
+    return [segments[first:end] for first, end in itertools.pairwise(begins)]
 
 
 def reachable(
@@ -307,10 +303,7 @@ def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[
             f"{file}: the drawing does not say its unit; say unit (mm, m or inch; on the command line --unit)"
         )
     entities = [e for e in drawing.modelspace() if layer is None or e.dxf.layer == layer]
-    pieces: list[Segment] = []
-    for entity in entities:
-        pieces += _pieces(entity, scale)
-    pieces = [piece for piece in pieces if piece.length > SHORTEST]
+    pieces = [piece for entity in entities for piece in _pieces(entity, scale) if piece.length > SHORTEST]
     if not pieces:
         where = "" if layer is None else f" on the layer {layer!r}"
         raise SessionError(f"{file}: no line, arc, circle, polyline, ellipse or spline{where}")
