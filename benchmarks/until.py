@@ -27,8 +27,8 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.nodes.measurement import site_document, stage_of
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, all_candidates, quickest_plan
-from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.planning.best_plan import all_candidates, quickest_plan
+from machine_tool_calibration.planning.forecast import Assumed, planned_session
 from machine_tool_calibration.planning.offer import Choice, offer
 from machine_tool_calibration.planning.optimise import quickest
 from machine_tool_calibration.procedure import Procedure, parse_procedure, plan, read_procedure

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.planning.forecast import forecast, planned_session
+from machine_tool_calibration.planning.forecast import Assumed, forecast, planned_session
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.session.checks import check_session
 
@@ -27,7 +27,7 @@ def test_every_procedure_can_be_foretold(file: Path) -> None:
     check_session(planned.session)
     assert len(planned.session.readings) == len(plan(procedure).steps)
     assert planned.seconds == pytest.approx(plan(procedure).duration)
-    found = forecast(procedure)
+    found = forecast(procedure, Assumed())
     document = found.document()
     json.dumps(document, allow_nan=False, default=lambda array: [])
     assert found.visible and all(entry.size and entry.size > 0 for entry in found.visible)
@@ -109,7 +109,7 @@ def test_workpieces_that_cannot_be(words: list[str], message: str, tmp_path: Pat
 def test_a_plan_says_how_far_it_is() -> None:
     procedure = read_procedure(ROOT / "config" / "procedures" / "tracking_2d.yaml")
     told: list[tuple[str, float]] = []
-    forecast(procedure, progress=lambda what, share: told.append((what, share)))
+    forecast(procedure, Assumed(), lambda what, share: told.append((what, share)))
     shares = [share for _, share in told]
     assert (np.diff(shares) > -1e-12).all() and shares[0] == 0.0 and 0.8 < shares[-1] < 1.0
     assert len({what for what, _ in told}) == 4

@@ -19,7 +19,7 @@ from machine_tool_calibration.methods.ball_bar.iso230_4 import _mean_path
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.planning.forecast import Assumed, forecast
 from machine_tool_calibration.procedure.description import read_procedure
 from machine_tool_calibration.procedure.steps import plan
 from machine_tool_calibration.session.catalogue import spec_of
@@ -405,7 +405,7 @@ def test_a_procedure_is_planned_and_foretold() -> None:
     np.testing.assert_allclose(np.hypot(place[:, 0] - 0.21, place[:, 1] - 0.2), 0.15, atol=1e-9)
     way = np.array([[step.direction[axis] for axis in "xy"] for step in steps])
     np.testing.assert_array_equal(np.sign(np.diff(place[:72, :2], axis=0)), way[1:72])
-    result = forecast(procedure).result
+    result = forecast(procedure, Assumed()).result
     assert found(result)["C0Y"][1] < 1e-6
 
 

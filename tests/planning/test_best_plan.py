@@ -17,10 +17,10 @@ from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, all_candidates, best_plan, quickest_plan
+from machine_tool_calibration.planning.best_plan import BestPlan, all_candidates, best_plan, quickest_plan
 from machine_tool_calibration.planning.design import Candidates
 from machine_tool_calibration.planning.dominant import expecting
-from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.planning.forecast import Assumed, planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import _Relaxed, _relaxed, bound, quickest, search
 from machine_tool_calibration.procedure import parse_procedure, plan
@@ -230,7 +230,7 @@ def test_the_file_of_the_quickest_plan_has_its_setups_in_their_order() -> None:
     text = _changed(seconds=700.0)
     offered = offer(text, "plane")
     wanted = quickest(offered, _candidates(offered), 0.85 * 1.4e-6, lambda what, share: None)
-    assert quickest_plan(text, "plane", Assumed(), u=1.4e-6) == offered.text(wanted)
+    assert quickest_plan(text, "plane", Assumed(), u=1.4e-6, told=()) == offered.text(wanted)
 
 
 @pytest.mark.long
@@ -319,7 +319,7 @@ def test_the_bound_of_an_effect_is_that_of_plans_that_tell_it() -> None:
 
 def test_places_seen_along_one_line_take_up_what_their_readings_could_tell() -> None:
     """One station going one way has a reading for each place, which is an unknown: it tells nothing of a backlash."""
-    chosen = yaml.safe_load(quickest_plan(PLANE, "plane.yaml", Assumed(), told=["backlash_x"]))["session"]
+    chosen = yaml.safe_load(quickest_plan(PLANE, "plane.yaml", Assumed(), u=None, told=["backlash_x"]))["session"]
     assert chosen["repeats"] == 2
     offered = offer(PLANE, "plane", both_senses=True)
     told, _, _ = all_candidates(offered, Assumed(), ["backlash_x"])

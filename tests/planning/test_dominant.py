@@ -13,7 +13,7 @@ from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.dominant import DRIFT, Dominant, dominant, limits_of
-from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.planning.forecast import Assumed, forecast
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.session.session import Session
@@ -164,7 +164,7 @@ def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) 
 
 @pytest.mark.long
 def test_a_plan_says_it_before_anything_is_measured() -> None:
-    promised = forecast(read_procedure(procedure_file("step_diagonal_long")), angular=1e-7)
+    promised = forecast(read_procedure(procedure_file("step_diagonal_long")), Assumed(angular=1e-7))
     assert promised.dominant is not None
     assert promised.dominant.angular == 1e-7
     assert promised.document()["dominant"]["cause"] == promised.dominant.cause

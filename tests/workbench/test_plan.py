@@ -13,8 +13,10 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.planning.forecast import Assumed
 from machine_tool_calibration.planning.outlook import outlooks
 from machine_tool_calibration.procedure import parse_procedure
+from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.text import load_yaml
 from machine_tool_calibration.workbench.handed_over import reported
 from machine_tool_calibration.workbench.models import Subject, planned
@@ -72,7 +74,7 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
     for repeats in (1, 4):
         text = changed_procedure(content("tracking_2d"), "ABCD", repeats, 1.0, {"x": 3, "y": 3})
         now, then, words = planned(
-            state.subject, None, parse_procedure(text, "small"), "rigid_body", 0.0, 0.0, lambda what, share: None
+            state.subject, None, parse_procedure(text, "small"), Assumed("rigid_body", warming=0.0, angular=0.0), untold
         )
         assert now is None and then.words.startswith("procedure ") and f"{repeats * 36} readings" in words
         assert len(then.session.readings) == repeats * 36 and then.seconds is not None

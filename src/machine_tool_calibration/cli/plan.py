@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal plan`: what a procedure will determine, before it is run."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -70,28 +70,28 @@ def command(
     """
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.nodes.shared import procedure_file
-    from machine_tool_calibration.planning.forecast import forecast
+    from machine_tool_calibration.planning.forecast import Assumed, forecast
     from machine_tool_calibration.procedure import read_procedure
     from machine_tool_calibration.reports.planning import best_plan_parts, forecast_parts
 
     if not optimise and (told or output or plot):
         raise click.UsageError("--told, --output and --plot belong to --optimise.")
-    assumed: dict[str, Any] = {"model": model, "own": own_effects(files), "warming": warming, "angular": angular}
+    assumed = Assumed(model, own_effects(files), warming, angular)
     file = procedure_file(procedure)
     if not optimise:
         with shared.progress_bar() as progress:
-            expected = forecast(read_procedure(file), **assumed, progress=progress)
+            expected = forecast(read_procedure(file), assumed, progress)
         shared.tell_either(expected.document(), forecast_parts(expected), as_json)
         return
 
     from machine_tool_calibration.budget.patterns import shared_errors
-    from machine_tool_calibration.planning.best_plan import Assumed, best_plan
+    from machine_tool_calibration.planning.best_plan import best_plan
     from machine_tool_calibration.plots.maps import draw_best_plan
     from machine_tool_calibration.session.text import read_text
 
     if output is not None and output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")
-    complete = Assumed(**assumed, errors=shared_errors)
+    complete = replace(assumed, errors=shared_errors)
     with shared.progress_bar() as progress:
         found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
     shared.tell_either(found.document(), best_plan_parts(found), as_json)

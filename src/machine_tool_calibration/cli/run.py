@@ -14,7 +14,8 @@ from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar,
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.nodes.measurement import NODES, Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
+from machine_tool_calibration.planning.best_plan import quickest_plan
+from machine_tool_calibration.planning.forecast import Assumed
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.reports.planning import reached_parts
 from machine_tool_calibration.reports.tables import Part

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The best plan of what a procedure offers, beside the procedure as it stands."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,10 +16,9 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.planning.design import Candidates, SharedErrors, effect_sizes, map_errors
-from machine_tool_calibration.planning.dominant import ANGULAR, expecting
-from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.planning.design import Candidates, effect_sizes, map_errors
+from machine_tool_calibration.planning.dominant import expecting
+from machine_tool_calibration.planning.forecast import Assumed, planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import bound, quickest, search
 from machine_tool_calibration.procedure.description import Procedure
@@ -102,18 +101,6 @@ class BestPlan:
         }
 
 
-@dataclass(frozen=True)
-class Assumed:
-    """What is assumed of a measurement that was not made."""
-
-    model: str | None = None  # variant of the method's model; None for its default
-    own: Sequence[Effect] = ()  # the user's own effects, beside the catalogue
-    warming: float = 1.0  # change of the air's temperature, K per hour
-    angular: float = ANGULAR  # root mean square of the machine's angular errors, rad
-    # of the readings of a session, what its budget says beside their scatter
-    errors: Callable[[Observations], SharedErrors | None] = lambda observed: None
-
-
 def best_plan(
     text: str, source: str, assumed: Assumed, *, told: Sequence[str] = (), seed: int = 0, progress: Progress = untold
 ) -> BestPlan:
@@ -157,13 +144,7 @@ def best_plan(
 
 
 def quickest_plan(
-    text: str,
-    source: str,
-    assumed: Assumed,
-    *,
-    u: float | None = None,
-    told: Sequence[str] = (),
-    progress: Progress = untold,
+    text: str, source: str, assumed: Assumed, *, u: float | None, told: Sequence[str], progress: Progress = untold
 ) -> str:
     """The file of a procedure whose setups are those that come soonest to what is wanted, the most useful ones first.
 
@@ -189,7 +170,7 @@ def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tup
         mapped = _foretold(offered.procedure_of(every_setup), assumed, told)
     known = effect_sizes(everything, told) if told else map_errors(mapped)
     observed = everything.assembly.models[0].observations
-    shared = assumed.errors(observed)
+    shared = assumed.errors(observed) if assumed.errors is not None else None
     candidates = Candidates(everything, offered.unit_of(observed), known, shared)
     if told and not candidates.told.all():
         names = [p.name for p in everything.assembly.parameters if p.owner in told]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a procedure will determine, before it is run: uncertainties, gaps, and the smallest effects to be found."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,7 +18,9 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.planning.design import SharedErrors
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.steps import Step, plan, pointing
@@ -254,29 +256,34 @@ class Forecast(Detectable):
         }
 
 
-def forecast(
-    procedure: Procedure,
-    *,
-    model: str | None = None,
-    own: Sequence[Effect] = (),
-    warming: float = 1.0,
-    angular: float = ANGULAR,
-    progress: Progress = untold,
-) -> Forecast:
+@dataclass(frozen=True)
+class Assumed:
+    """What is assumed of a measurement that was not made."""
+
+    model: str | None = None  # variant of the method's model; None for its default
+    own: Sequence[Effect] = ()  # the user's own effects, beside the catalogue
+    warming: float = 1.0  # change of the air's temperature, K per hour
+    angular: float = ANGULAR  # root mean square of the machine's angular errors, rad
+    # of the readings of a session, what its budget says beside their scatter; for the choice of a plan
+    errors: Callable[[Observations], SharedErrors | None] | None = None
+
+
+def forecast(procedure: Procedure, assumed: Assumed, progress: Progress = untold) -> Forecast:
     """What a procedure will determine, if its readings scatter as declared and mountings add no spread.
 
     While the air warms by so many K per hour; for what dominates, with angular errors of that root mean square, rad. A
     SessionError if the procedure cannot be run; a ModelError if it does not allow the model.
     """
     progress("planning the steps", 0.0)
+    model, warming = assumed.model, assumed.warming
     planned = planned_session(procedure, warming)
     progress("uncertainties", 0.2)
     result = identify(planned.session, model=model, keep_all=True)
     found = detectable(
         result.joint,
-        [e for e in catalogue(own).values() if not e.beside],
+        [e for e in catalogue(assumed.own).values() if not e.beside],
         progress=lambda what, share: progress(what, 0.3 + 0.55 * share),
     )
     progress("what dominates", 0.85)
-    limits = dominant(planned.session, model=model, angular=angular, drift=DRIFT * abs(warming))
+    limits = dominant(planned.session, model=model, angular=assumed.angular, drift=DRIFT * abs(warming))
     return Forecast(**vars(found), result=result, seconds=planned.seconds, warming=warming, dominant=limits)

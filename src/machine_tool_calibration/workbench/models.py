@@ -23,7 +23,7 @@ from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
-from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.planning.forecast import Assumed, forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of
 from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.progress import Progress
@@ -232,18 +232,9 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
 
 
 def planned(
-    subject: Subject,
-    model: Model | None,
-    procedure: Procedure,
-    variant: str | None,
-    warming: float,
-    angular: float,
-    progress: Progress,
+    subject: Subject, model: Model | None, procedure: Procedure, assumed: Assumed, progress: Progress
 ) -> tuple[Outlook | None, Outlook, str]:
-    """What a procedure would tell by itself, and that in the words of `mtcal plan`; first what a model tells now.
-
-    While the air warms by so many K per hour, with angular errors of the machine of so many rad.
-    """
-    found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
+    """What a procedure would tell by itself, and that in the words of `mtcal plan`; first what a model tells now."""
+    found = forecast(procedure, assumed, progress)
     now = None if model is None else current(subject.measurement.sessions[0], model.fit.result.error_map)
     return now, outlook_of(found, f"procedure {procedure.name}, by itself"), printed(forecast_parts(found))

@@ -15,6 +15,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.nodes.shared import procedure_file, procedure_names
 from machine_tool_calibration.planning.dominant import ANGULAR
+from machine_tool_calibration.planning.forecast import Assumed
 from machine_tool_calibration.planning.outlook import Outlook, outlooks
 from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.plots.style import magnification, spaced
@@ -247,7 +248,8 @@ class PlanPage:
         content, state = self._form.text, self._state
         variant = None if self._variant.value == "default" else self._variant.value
         known = None if self._every else state.model
-        asked = (state.subject, known, self._form.procedure(), variant, self._warming.value, 1e-6 * self._angular.value)
+        assumed = Assumed(variant, state.subject.own, self._warming.value, 1e-6 * self._angular.value)
+        asked = (state.subject, known, self._form.procedure(), assumed)
 
         def take(found: tuple[Outlook | None, Outlook, str]) -> None:
             now, then, words = found
