@@ -236,20 +236,16 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         self._kept: set[Any] = set()  # what the node has before it is activated
         every = yaml.safe_load(_PARAMETERS.read_text(encoding="utf-8"))
         entries = every["every_node"] | every[kind]
-        self._refuse_wrong_kinds({parameter: entry["default"] for parameter, entry in entries.items()})
-        for parameter, entry in entries.items():
-            self.declare(parameter, **entry)
+        for name, entry in entries.items():  # what rclpy would take letter by letter, or pass over
+            if isinstance(entry["default"], list) and isinstance(given := self.get_parameter_or(name).value, str):
+                raise CalibrationError(f"parameter {name} is a list: {name}:=[{given}]")
+        for name, entry in entries.items():
+            self.declare(name, **entry)
         (self.autostart,) = self.values("autostart")
         self.settings()
         self.say_unknown_parameters()
         self._namesakes = 0
         self.every(_LOOK_FOR_NAMESAKES, self._look_for_namesakes)
-
-    def _refuse_wrong_kinds(self, defaults: Mapping[str, Any]) -> None:
-        """What rclpy would take letter by letter, or pass over; a CalibrationError."""
-        for name, default in defaults.items():
-            if isinstance(default, list) and isinstance(given := self.get_parameter_or(name).value, str):
-                raise CalibrationError(f"parameter {name} is a list: {name}:=[{given}]")
 
     def _look_for_namesakes(self) -> None:
         """Say once that another node has the same name, whose services are the same; one that was killed soon has not.
