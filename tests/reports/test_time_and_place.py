@@ -35,6 +35,7 @@ def test_a_step_at_the_turn_may_be_a_reversal_that_was_not_recorded() -> None:
     assert "diagnosis.unrecorded_direction" not in said and "diagnosis.time_is_place" not in said
 
 
+@pytest.mark.long
 def test_a_reversal_that_varies_in_one_cycle_may_be_what_wanders() -> None:
     for cycles, may_be in ((1, True), (2, False)):
         x, sense = np.tile(THERE_AND_BACK, cycles), np.tile(np.repeat([1.0, -1.0], len(UP)), cycles)

@@ -4,7 +4,6 @@
 from functools import lru_cache
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.effects.effect import ONE_SIDED, AxisEffect, Coefficient, Shape, axis_unit, is_one_sided
@@ -88,6 +87,8 @@ class PitchPeriodic(AxisEffect):
 
         Half a step beside a usual one: that explains a tenth less, and in time waves are tried more finely.
         """
+        from scipy.fft import next_fast_len  # here, as the catalogue is listed without it
+
         readings, along = observations.readings, self.along(observations)
         x, seen = readings.column(self.axis), readings.displacement * along * self.sign(observations)
         sense = readings.columns.get(f"dir_{self.axis}", np.zeros(len(x)))
