@@ -65,7 +65,7 @@ class Pool:
         """(n,) measured minus predicted, m, of the fit to the readings without a change of these, m."""
         fit, shifts = self.fit.without_random, [-change[piece] for piece in self.pieces]
         curved = change.any() and not all(part.linear for part in fit.assembly.problem.parts)
-        try:  # what is displaced may have moved unknowns far along directions that hardly show
+        try:  # by more than a step: what is displaced may have moved unknowns far along directions that hardly show
             fit = changed(fit, shifts, again=bool(curved))
         except ModelError:
             fit = changed(fit, shifts)

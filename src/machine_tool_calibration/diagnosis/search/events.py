@@ -109,6 +109,8 @@ def _displaced(observations: Observations) -> Iterator[tuple[Said, Array]]:
         return
     turns = np.outer(observations.session.rotation_sign * angle, axis_direction(table_axis(observations)))
     along = _varying(Rotation.from_rotvec(turns).inv().apply(direction))
+    if not len(along):  # one face alone
+        return
     yield say("shape.shift_on_table_at", at=""), along
     target = observations.readings.labels.get("target", np.zeros(0, dtype=str))
     names = np.unique(target)

@@ -72,12 +72,12 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
     readings, digest = table.readings, blake2b(bytes(tilted))
     for one in (stations, targets, table.rotation, readings.displacement, readings.setup, table.target, table.run):
         digest.update(np.ascontiguousarray(one).data)
-    key = digest.digest()
-    if key not in _FOUND:
-        _FOUND[key] = _start_from(table, stations, targets, tilted)
-    while len(_FOUND) > _KEPT:
-        _FOUND.pop(next(iter(_FOUND)))
-    return _FOUND[key]
+    start = _FOUND.get(key := digest.digest())
+    if start is None:
+        start = _FOUND[key] = _start_from(table, stations, targets, tilted)
+        while len(_FOUND) > _KEPT:
+            _FOUND.pop(next(iter(_FOUND)), None)
+    return start
 
 
 def _start_from(table: TableReadings, stations: Array, targets: Array, tilted: bool) -> Start:
