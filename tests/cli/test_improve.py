@@ -65,6 +65,7 @@ def test_one_document(cube: Path, tmp_path: Path, verb: Verb) -> None:
     assert not (cube / "history.yaml").exists()
 
 
+@pytest.mark.long
 def test_history_is_listed_compared_and_undone(cube: Path, verb: Verb) -> None:
     verb("improve", cube)
     listed = verb("history", cube).out

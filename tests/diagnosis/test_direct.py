@@ -222,6 +222,7 @@ def frame_over_a_bed() -> tuple[Array, Array, dict[str, Array]]:
     return time, moved, {"temperature_z": chamber, "bed": bed, "nozzle": nozzle}
 
 
+@pytest.mark.long
 def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> None:
     time, moved, warm = frame_over_a_bed()
     # Names with spaces are those of no effect.
@@ -299,6 +300,7 @@ def told_of(session: Session) -> str:
     return " ".join(verdict_words(found, {}, Advice()))
 
 
+@pytest.mark.long
 def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time() -> None:
     """Each row of a raster takes its time: a zone is a step in time as well, and the second run repeats it."""
     rng, side = np.random.default_rng(11), np.linspace(0.0, 0.4, 9)

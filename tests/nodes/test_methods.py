@@ -109,7 +109,7 @@ def keyed(session, displacement):
 CASES = {"step_diagonal": diagonal, "rotary_axis": rotary, "direct": direct, "tracking": tracking}
 
 
-@pytest.mark.long(but=("direct",))
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_readings_are_those_of_the_simulator(bench, finish, case):
     procedure, effects, plans = case()

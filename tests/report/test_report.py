@@ -258,6 +258,7 @@ def test_a_diagnosis_of_other_readings_says_so(monkeypatch: pytest.MonkeyPatch) 
     assert own.blocks[0].startswith("Aus 287 Ablesungen") and own.blocks[0].endswith("das Ergebnis oben ist aus 286.")
 
 
+@pytest.mark.long
 def test_effects_in_the_model_stand_there_with_their_sizes() -> None:
     measured = evaluated("iso230_2").measured
     chosen = replace(measured.chosen, effects=("backlash_x",))
