@@ -30,7 +30,15 @@ CONFIG = Path(__file__).parents[2] / "config"
 NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
 
 
-def test_ctrl_c_while_a_process_is_started_comes_when_it_is():
+@pytest.fixture
+def interruptible():
+    """Ctrl-C ends a program as Python has it, whatever a test before this one left."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_while_a_process_is_started_comes_when_it_is(interruptible):
     done = []
     with pytest.raises(KeyboardInterrupt), _interrupted_later():
         signal.raise_signal(signal.SIGINT)

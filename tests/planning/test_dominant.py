@@ -163,6 +163,14 @@ def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) 
 
 
 @pytest.mark.long
+def test_readings_that_scatter_by_far_more_than_declared_dominate(simulated: Simulated) -> None:
+    session = simulated("iso230_2")
+    shares = [limits_of(session, build_model(session)[0], scatter).shares for scatter in (1.0, 3.0)]
+    odds = [own["readings"] / own["time"] for own in shares]
+    assert odds[1] == pytest.approx(9.0 * odds[0])
+
+
+@pytest.mark.long
 def test_a_plan_says_it_before_anything_is_measured() -> None:
     promised = forecast(read_procedure(procedure_file("step_diagonal_long")), Assumed(angular=1e-7))
     assert promised.dominant is not None

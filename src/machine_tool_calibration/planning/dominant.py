@@ -56,6 +56,7 @@ class Dominant:
     shares: dict[str, float]  # of its variance, by cause
     angular: float  # size of the angular errors that was assumed, rad; 0 where the model has none
     drift: float  # rate that was assumed, m/s; 0 where no time was recorded
+    scatter: float = 1.0  # of the readings, over that declared
     again: float | None = None  # the uncertainty after the same measurement once more, m; None if not asked for
     # measurements that are clearly better than that, the best first; none where the readings' own scatter dominates
     remedies: tuple[Remedy, ...] = ()
@@ -99,13 +100,15 @@ def dominant(
     return with_remedies(found, tried)
 
 
-def _shares(session: Session, built: MethodModel, angular: float, drift: float) -> Dominant | None:
+def _shares(
+    session: Session, built: MethodModel, angular: float, drift: float, scatter: float = 1.0
+) -> Dominant | None:
     """What dominates, of a session and its model."""
     angles = isinstance(built, StepDiagonalModel) and built.spread is not None
     drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
-    readings = _uncertainty(build_model(session, "translations")[0] if angles else built, 0.0, 0.0)
-    still = _uncertainty(built, angular, 0.0) if angles else readings
-    whole = _uncertainty(built, angular, drift) if drift else still
+    readings = _uncertainty(build_model(session, "translations")[0] if angles else built, 0.0, 0.0, scatter)
+    still = _uncertainty(built, angular, 0.0, scatter) if angles else readings
+    whole = _uncertainty(built, angular, drift, scatter) if drift else still
     if not np.isfinite(readings + still + whole):
         return None
     shares = {
@@ -114,12 +117,12 @@ def _shares(session: Session, built: MethodModel, angular: float, drift: float) 
         "time": max(whole**2 - still**2, 0.0) / whole**2,
     }
     cause = max(("readings", "angular errors", "time"), key=lambda name: shares[name])
-    return Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
+    return Dominant(cause, whole, shares, angular if angles else 0.0, drift, scatter)  # type: ignore[arg-type]
 
 
 def left_with(found: Dominant, extended: MethodModel) -> float:
     """RMS standard uncertainty of the map, m, of a model of the session with a further measurement; NaN without one."""
-    return _uncertainty(extended, found.angular, found.drift)
+    return _uncertainty(extended, found.angular, found.drift, found.scatter)
 
 
 def with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
@@ -131,10 +134,14 @@ def with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dom
     return replace(found, again=again, remedies=remedies)
 
 
-def limits_of(session: Session, built: MethodModel) -> Dominant | None:
-    """What dominates in a measured session, with what it says of angular errors and warming; no remedies yet."""
+def limits_of(session: Session, built: MethodModel, scatter: float = 1.0) -> Dominant | None:
+    """What dominates in a measured session, with what it says of angular errors and warming; no remedies yet.
+
+    Its readings scatter so many times as much as declared: of step diagonals that may be angular errors.
+    """
+    scatter = 1.0 if isinstance(built, StepDiagonalModel) else scatter
     try:
-        return _shares(session, built, angular_size(built), DRIFT * max(_warming(session), 1.0))
+        return _shares(session, built, angular_size(built), DRIFT * max(_warming(session), 1.0), scatter)
     except CalibrationError:
         return None
 
@@ -156,12 +163,12 @@ def _warming(session: Session) -> float:
     return float(np.ptp(air[good])) / hours if hours > 0 else 0.0
 
 
-def _uncertainty(model: MethodModel, angular: float, drift: float) -> float:
+def _uncertainty(model: MethodModel, angular: float, drift: float, scatter: float) -> float:
     """RMS standard uncertainty of the map, m, with what a drift that the model lacks does to it; NaN without a map."""
     try:
         built = expecting(model, angular)
         still = _map(built)
-        square = still.uncertainty**2
+        square = (scatter * still.uncertainty) ** 2
         if drift:
             term = effect_term(LinearDrift(), built.observations)
             held = Constraint({term.parameters[0].name: 1.0}, -drift)

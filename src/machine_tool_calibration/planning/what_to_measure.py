@@ -179,7 +179,8 @@ def what_to_measure(diagnosis: Diagnosis, progress: Progress = untold) -> Advice
     """
     assumed, present = assumed_effects(diagnosis), present_effects(diagnosis)
     chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
-    limits = limits_of(sessions[0], chosen.base(sessions[0])[0]) if len(sessions) == 1 else None
+    scatter = max(float(np.sqrt(diagnosis.fits[-1].reduced_chi_square)), 1.0)
+    limits = limits_of(sessions[0], chosen.base(sessions[0])[0], scatter) if len(sessions) == 1 else None
     improvable = limits if limits is not None and limits.cause != "readings" else None
 
     def sensed(subject: FitRequest, at: int = 0, **new: Any) -> Sensed | None:
