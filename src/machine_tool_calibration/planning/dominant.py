@@ -56,10 +56,10 @@ class Dominant:
     shares: dict[str, float]  # of its variance, by cause
     angular: float  # size of the angular errors that was assumed, rad; 0 where the model has none
     drift: float  # rate that was assumed, m/s; 0 where no time was recorded
-    scatter: float = 1.0  # of the readings, over that declared
     again: float | None = None  # the uncertainty after the same measurement once more, m; None if not asked for
     # measurements that are clearly better than that, the best first; none where the readings' own scatter dominates
     remedies: tuple[Remedy, ...] = ()
+    scatter: float = 1.0  # of the readings, over that declared
 
     def document(self) -> dict[str, Any]:
         """For programs."""
@@ -117,7 +117,7 @@ def _shares(
         "time": max(whole**2 - still**2, 0.0) / whole**2,
     }
     cause = max(("readings", "angular errors", "time"), key=lambda name: shares[name])
-    return Dominant(cause, whole, shares, angular if angles else 0.0, drift, scatter)  # type: ignore[arg-type]
+    return Dominant(cause, whole, shares, angular if angles else 0.0, drift, scatter=scatter)  # type: ignore[arg-type]
 
 
 def left_with(found: Dominant, extended: MethodModel) -> float:
