@@ -170,9 +170,9 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
     return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in _OF_REVERSAL for axis in axes}
 
 
-# What comes at a moment.
-_ON_TABLE, _OF_TARGET = "shape.shift_on_table_at", "shape.shift_of_target_at"
-_SUDDEN = ("shape.step_at", "shape.shift_at", _ON_TABLE, _OF_TARGET)
+# What comes at a moment: of a target, of what is on the table, and of anything.
+_OF_TARGET, _ON_TABLE = "shape.shift_of_target_at", "shape.shift_on_table_at"
+_SUDDEN = ("shape.step_at", "shape.shift_at")
 # Changes of an axis's direction where it went there and back once, from where it may have come from either side.
 _ONE_REVERSAL = 2
 
@@ -222,15 +222,15 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
 
 def _mended(diagnosis: Diagnosis) -> Said | None:
     """What helps where readings are others from a moment on, which is not where an axis is; None where they are not."""
-    for structure in diagnosis.search.structure[:1]:
-        shape = structure.shape
-        if not isinstance(shape, Said) or shape.key not in _SUDDEN or structure.covariate in ("x", "y", "z"):
-            return None
-        if shape.key == _OF_TARGET:
-            return say("next.moved_target", target=shape.values["target"])  # type: ignore[call-overload]
-        probes = spec_of(diagnosis.chosen.sessions[0]).probes_surface
-        return say("next.moved_part" if probes or shape.key == _ON_TABLE else "next.moved")
-    return None
+    structure = next(iter(diagnosis.search.structure), None)
+    if structure is None or structure.covariate in ("x", "y", "z") or not isinstance(structure.shape, Said):
+        return None
+    shape = structure.shape
+    if shape.key == _OF_TARGET:
+        return say("next.moved_target", target=shape.values["target"])  # type: ignore[call-overload]
+    if shape.key == _ON_TABLE or (shape.key in _SUDDEN and spec_of(diagnosis.chosen.sessions[0]).probes_surface):
+        return say("next.moved_part")
+    return say("next.moved") if shape.key in _SUDDEN else None
 
 
 def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter", "both", "places", "setups"]:

@@ -108,7 +108,7 @@ def _wave(mean: Array) -> float:
     """Standard deviation of what values in a row have of waves: what stands out of the periodogram of noise.
 
     Its ordinates are exponentially distributed about one level where the values are independent (Priestley 1981, 6.1),
-    which the median of those that are no wave says.
+    which their median says, most of them being no wave.
     """
     power = np.abs(np.fft.rfft(mean - mean.mean())[1:]) ** 2
     if len(power) < _SPECTRUM:

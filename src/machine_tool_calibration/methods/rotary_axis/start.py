@@ -5,7 +5,7 @@ Sessions that contradict their own geometry there are refused, with the common m
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import blake2b
 
 import numpy as np
@@ -223,15 +223,11 @@ def suppositions(session: Session) -> Iterator[Supposition]:
     """The measurement without each common mistake."""
     yield from turning_mistakes(session)
     yield from shifted(session, "displacement", session.readings.displacement)
-    yield from exchanged(session, "setup", [session.setup_ids[k] for k in np.unique(session.readings.setup)])
+    read = [session.setup_ids[k] for k in np.unique(session.readings.setup)]
+    yield from exchanged(session, "setup", read)
     targets = np.unique(session.readings.labels["target"]).tolist()
-    yield from exchanged(session, "target", targets)
-    for k in np.unique(session.readings.setup):
-        for supposed in exchanged(session, "target", targets):
-            readings, other = session.readings, supposed.session.readings.labels["target"]
-            labels = np.where(readings.setup == k, other, readings.labels["target"])
-            only = session.with_readings(replace(readings, labels={**readings.labels, "target": labels}))
-            yield Supposition(f"{supposed.what} in setup {session.setup_ids[k]!r}", only)
+    for setup in (None, *read):
+        yield from exchanged(session, "target", targets, setup)
 
 
 def refuse_mistakes(session: Session, start: Start) -> None:

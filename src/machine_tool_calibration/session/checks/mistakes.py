@@ -106,15 +106,19 @@ def exchanged_columns(session: Session, values: Mapping[str, Array]) -> Iterator
         yield with_columns(session, what, **{one: values[other], other: values[one]})
 
 
-def exchanged(session: Session, kind: str, among: Sequence[str]) -> Iterator[Supposition]:
-    """Two setups exchanged, or two names in the column `kind`; among the first few of the names that may be."""
+def exchanged(session: Session, kind: str, among: Sequence[str], setup: str | None = None) -> Iterator[Supposition]:
+    """Two setups exchanged, or two names in the column `kind`; among the first few of the names that may be.
+
+    In all readings, or in those of a setup alone.
+    """
     readings = session.readings
+    mine = np.ones(len(readings), dtype=bool) if setup is None else readings.setup == session.setup_ids.index(setup)
     labels = readings.setup if kind == "setup" else readings.labels[kind]
     for pair in itertools.combinations(among[:_MOST_EXCHANGED], 2):
         one, other = map(session.setup_ids.index, pair) if kind == "setup" else pair
-        new = np.where(labels == one, other, np.where(labels == other, one, labels))
+        new = np.where(mine & (labels == one), other, np.where(mine & (labels == other), one, labels))
         changed: dict[str, Any] = {"setup": new} if kind == "setup" else {"labels": {**readings.labels, kind: new}}
-        what = f"the {kind}s {pair[0]!r} and {pair[1]!r} look exchanged"
+        what = f"the {kind}s {pair[0]!r} and {pair[1]!r} look exchanged{f' in setup {setup!r}' if setup else ''}"
         yield Supposition(what, session.with_readings(replace(readings, **changed)))
 
 
