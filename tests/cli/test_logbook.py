@@ -34,6 +34,25 @@ def test_sessions_are_entered_once_and_listed(tmp_path: Path, verb: Verb) -> Non
     identified = verb("identify", session, "--json").document
     assert entry["sha256"] == identified["provenance"]["sha256"] and "EXX" in {s["name"] for s in entry["sizes"]}
     assert "no machine 'lathe'" in verb.refused("logbook", "list", book, "--machine", "lathe")
+    assert "in the future" in verb.refused(*words[:-1], "2999-01-05")
+
+
+@pytest.mark.long
+def test_an_entry_that_was_wrong_is_withdrawn_and_entered_again(tmp_path: Path, verb: Verb) -> None:
+    session, book = tmp_path / "january", tmp_path / "mill.logbook"
+    measured = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=2)).session
+    about = {"machine": "mil", "date": "2026-01-05"}
+    write_session(replace(measured, description=measured.description.model_copy(update={"about": about})), session)
+    verb("logbook", "add", book, session)
+    assert "january: entry 1 is withdrawn: misspelt" in verb("logbook", "withdraw", book, 1, "--why", "misspelt").text
+    verb("fleet", book, session)
+    assert not verb("logbook", "list", book, "--json").document["entries"]
+    assert "no entry 1, or it is withdrawn" in verb.refused("logbook", "withdraw", book, 1, "--why", "again")
+    assert "entered as number 2, mill" in verb("logbook", "add", book, session, "--machine", "mill").text
+    listed = verb("logbook", "list", book, "--json").document
+    assert [(one["number"], one["machine"]) for one in listed["entries"]] == [(2, "mill")]
+    assert [(one["number"], one["why"]) for one in listed["withdrawn"]] == [(1, "misspelt")]
+    assert "entry 1 is withdrawn: misspelt" in verb("logbook", "list", book).text
 
 
 MONTHS, BEGIN, MORE = 10, 4, 3e-7

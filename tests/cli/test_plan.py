@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from machine_tool_calibration.budget.enough import Reached, Until
+from machine_tool_calibration.cli.enough import known_after
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.forecast import Assumed, forecast, planned_session
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.folder import read_session
 
 from ..told import Verb
 
@@ -32,6 +36,15 @@ def test_every_procedure_can_be_foretold(file: Path) -> None:
     json.dumps(document, allow_nan=False, default=lambda array: [])
     assert found.visible and all(entry.size and entry.size > 0 for entry in found.visible)
     assert not {entry.effect for entry in found.visible} & set(found.absorbed)
+
+
+@pytest.mark.long
+def test_where_it_was_not_enough_the_next_step_is_named(backlash: Path, verb: Verb) -> None:
+    said = verb("enough", backlash, "--until", "U=0.1um").text
+    assert "not enough What the next measurement would tell" in said and "one more station" in said
+    wanted, chosen = Until(told=("backlash_y",)), FitRequest((read_session(backlash),))
+    *_, never, further = known_after(chosen, wanted, [Reached("A", 72, 60.0)], backlash)
+    assert (never, further) == ("not enough", f"`mtcal diagnose {backlash}` says what would tell more")
 
 
 def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:

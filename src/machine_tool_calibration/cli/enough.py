@@ -1,13 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal enough`: after which setup a measurement would have been enough."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.budget.enough import Reached, Until
+    from machine_tool_calibration.methods.fitted import FitRequest
+    from machine_tool_calibration.reports.tables import Part
+
+_MOST_FURTHER = 5  # further measurements that are shown, where it was not enough
 
 
 @click.command("enough")
@@ -32,7 +43,6 @@ def command(
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.recording.open import open_measurement
-    from machine_tool_calibration.reports.planning import reached_parts
 
     own = tuple(own_effects(files))
     wanted = Until.parse(until, own)
@@ -43,4 +53,22 @@ def command(
             stages.append(found)
             progress(f"after setup {found.setup}", found.readings / len(chosen.sessions[0].readings))
     document = {"format": "mtcal-enough/1", "until": until, "reached": [one.document() for one in stages]}
-    tell_either(document, reached_parts(stages), as_json)
+    tell_either(document, () if as_json else known_after(chosen, wanted, stages, measurement), as_json)
+
+
+def known_after(chosen: FitRequest, wanted: Until, stages: Sequence[Reached], measurement: Path) -> Iterator[Part]:
+    """What was known after each setup; where that was not enough, what would tell more."""
+    from machine_tool_calibration.budget import complete
+    from machine_tool_calibration.planning.outlook import outlooks
+    from machine_tool_calibration.reports.planning import outlook_table, reached_parts
+    from machine_tool_calibration.words import say
+
+    yield from reached_parts(stages)
+    if any(one.enough for one in stages):
+        return
+    if wanted.u is None:
+        yield say("enough.diagnose", measurement=str(measurement))
+        return
+    with progress_bar() as progress:
+        further = outlooks(chosen, complete.identify(chosen), progress)
+    yield outlook_table(further[: 1 + _MOST_FURTHER])

@@ -78,8 +78,11 @@ def _enter(book: Path, folders: tuple[Path, ...], wanted: Wanted, **cluster: Any
     from machine_tool_calibration.trends.logbook import Logbook
 
     logbook, problems, added = Logbook(book), list[tuple[str, str]](), 0
-    entered = {one.sha256 for one in logbook.entries()} if book.exists() else set[str]()
-    known = frozenset(entered & set(logbook.diagnoses()))
+    entered, withdrawn = set[str](), set[str]()
+    if book.exists():
+        entered = {one.sha256 for one in logbook.entries()}
+        withdrawn = {one.sha256 for one, _ in logbook.withdrawn()}  # they are not entered as they were
+    known = frozenset(entered & set(logbook.diagnoses()) | withdrawn)
     found = places(folders)
     new = [place for place in found if not (known and is_known(place, known))]
     if len(new) < len(found):

@@ -24,6 +24,7 @@ def command() -> None:
     \b
     mtcal logbook add mill.logbook january february march
     mtcal logbook list mill.logbook
+    mtcal logbook withdraw mill.logbook 2 --why "measured on the other mill"
     """
 
 
@@ -69,15 +70,45 @@ def add(
         shared.write_json({"format": "mtcal-logbook-added/1", "book": str(book), "sessions": said})
 
 
+@command.command("withdraw")
+@click.argument("book", type=shared.FILE)
+@click.argument("number", type=click.IntRange(min=1))
+@click.option("--why", required=True, help="Why the entry counts no more; it is shown in the list.")
+@shared.json_option
+def withdraw(book: Path, number: int, why: str, as_json: bool) -> None:
+    """Withdraw an entry that was wrong: it stays in BOOK with the reason, and counts no more.
+
+    Its session can be entered again, with its right machine and date.
+    """
+    from machine_tool_calibration.trends.logbook import Logbook
+
+    if not why.strip():
+        raise click.UsageError("--why is empty.")
+    gone = Logbook(book).withdraw(number, why)
+    document = {
+        "format": "mtcal-logbook-withdrawn/1",
+        "book": str(book),
+        "why": why,
+        **picked(gone, "number", "sha256"),
+    }
+    shared.tell_either(document, [say("logbook.withdrawn", label=gone.label, n=number, why=why)], as_json)
+
+
 @command.command("list")
 @click.argument("book", type=shared.FILE)
 @machine_option
 @shared.json_option
 def listed(book: Path, machine: str | None, as_json: bool) -> None:
-    """List the entries of a logbook by date."""
+    """List the entries of a logbook by date, and what was withdrawn of it."""
     from machine_tool_calibration.reports.trends import entries_table
     from machine_tool_calibration.trends.logbook import Logbook
 
-    entries = Logbook(book).entries(machine)
-    document = {"format": "mtcal-logbook/1", "book": str(book), "entries": [one.document() for one in entries]}
-    shared.tell_either(document, [entries_table(entries)], as_json)
+    entries, withdrawn = Logbook(book).entries(machine), Logbook(book).withdrawn()
+    document = {
+        "format": "mtcal-logbook/1",
+        "book": str(book),
+        "entries": [one.document() for one in entries],
+        "withdrawn": [one.document() | {"why": why} for one, why in withdrawn],
+    }
+    gone = [say("logbook.withdrawn", label=one.label, n=one.number, why=why) for one, why in withdrawn]
+    shared.tell_either(document, [entries_table(entries), *gone], as_json)

@@ -9,15 +9,17 @@ import click
 
 from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.budget.patterns import shared_errors
+from machine_tool_calibration.cli.enough import known_after
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
 from machine_tool_calibration.coverage import K
+from machine_tool_calibration.effects.catalogue import own_effects
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.measurement import NODES, Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.best_plan import quickest_plan
 from machine_tool_calibration.planning.forecast import Assumed
 from machine_tool_calibration.procedure import read_procedure
-from machine_tool_calibration.reports.planning import reached_parts
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.simulation.site import SiteSpec, read_site
@@ -101,7 +103,10 @@ def command(
             file.write_text(text, encoding="utf-8")
         with readings_bar() as progress:
             measured = measure(file, setting, progress)
-    parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]
+    parts: list[Part] = list(measured.remarks)
+    if wanted is not None and not as_json:
+        chosen = FitRequest((measured.session,), None, setting.model or None, setting.effects, tuple(own_effects(())))
+        parts += known_after(chosen, wanted, measured.reached, measured.session_folder or folder)
     parts += [result_table(measured), files_table(measured)]
     if measured.session_folder is not None:
         parts.append(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")

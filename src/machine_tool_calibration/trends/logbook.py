@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A machine's logbook: every session that was measured on it, with its result, in the order of entering.
 
-It is one SQLite file, which can be copied and handed over whole. An entry is in it wholly or not at all, also where two
-programs enter at once or one is killed, and triggers end every UPDATE and DELETE of what was entered. Any program for
-SQLite reads it; the result and the sizes are JSON, description and readings the text of `session.yaml` and
-`observations.csv`, whose SHA-256, one after the other, is the entry's.
+It is one SQLite file, which can be copied and handed over whole. An entry is in it wholly or not at all, also where
+two programs enter at once or one is killed, and triggers end every UPDATE and DELETE of what was entered; what was
+wrong is withdrawn by a line beside it. Any program for SQLite reads it; the result and the sizes are JSON,
+description and readings the text of `session.yaml` and `observations.csv`, whose SHA-256, one after the other, is the
+entry's.
 """
 
 import datetime
@@ -30,6 +31,7 @@ from machine_tool_calibration.trends.statement import Size
 # "mtlb": says of which program a database is (SQLite's application_id), and which version its tables have.
 _APPLICATION, _VERSION = 0x6D746C62, 1
 
+_DAY = datetime.timedelta(days=1)
 # Seconds that one program waits for another that is entering.
 _PATIENCE = 30.0
 _COLUMNS = (
@@ -39,8 +41,7 @@ _TABLES = f"""
 CREATE TABLE IF NOT EXISTS entries (
     number INTEGER PRIMARY KEY,
     {", ".join(f"{name} TEXT NOT NULL" for name in _COLUMNS)},
-    entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP,
-    UNIQUE (sha256)
+    entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
 );
 CREATE TRIGGER IF NOT EXISTS no_update BEFORE UPDATE ON entries
     BEGIN SELECT RAISE(ABORT, 'entries are never changed'); END;
@@ -49,7 +50,16 @@ CREATE TRIGGER IF NOT EXISTS no_delete BEFORE DELETE ON entries
 PRAGMA application_id = {_APPLICATION};
 PRAGMA user_version = {_VERSION};
 """
-# A table of its own, which a logbook has from the first diagnosis on: other versions read the entries all the same.
+# Tables of their own, which a logbook has from the first line in them on: other versions read the entries all the same.
+_WITHDRAWALS = """
+CREATE TABLE IF NOT EXISTS withdrawals (
+    number INTEGER PRIMARY KEY, why TEXT NOT NULL, entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
+);
+CREATE TRIGGER IF NOT EXISTS withdrawal_kept BEFORE UPDATE ON withdrawals
+    BEGIN SELECT RAISE(ABORT, 'withdrawals are never changed'); END;
+CREATE TRIGGER IF NOT EXISTS withdrawal_stays BEFORE DELETE ON withdrawals
+    BEGIN SELECT RAISE(ABORT, 'withdrawals are never removed'); END;
+"""
 _DIAGNOSES = """
 CREATE TABLE IF NOT EXISTS diagnoses (
     sha256 TEXT PRIMARY KEY, document TEXT NOT NULL, entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
@@ -114,7 +124,7 @@ def entry_of(
     """What is to be entered of a session: all that was recorded, its result document, and sizes of what was found.
 
     Machine, date (ISO 8601) and instrument need be given only where `about` does not say them. A CalibrationError if
-    nothing says which machine it was, or when.
+    nothing says which machine it was, or when, or it would be measured tomorrow.
     """
     about, origin = session.description.about, result["provenance"]
     name = machine or name_of_machine(about)
@@ -123,11 +133,14 @@ def entry_of(
     told = date or about.get("date") or about.get("time")
     if not told:
         raise CalibrationError(f"{label}: nothing says when it was measured: `about: {{date: 2026-05-04}}`, or --date")
+    when = date_of(str(told), label)
+    if _moment(when) > datetime.datetime.now(datetime.UTC) + _DAY:
+        raise CalibrationError(f"{label}: its date {when} is in the future by this computer's clock")
     description, readings = recorded_texts(session)
     return Entry(
         number=0,
         machine=name,
-        date=date_of(str(told), label),
+        date=when,
         instrument=instrument or _instrument(session),
         label=label,
         sha256=origin["sha256"],
@@ -149,7 +162,7 @@ def date_of(text: str, where: str) -> str:
 
 def last_moment(date: str) -> datetime.datetime:
     """Until when a measurement of a day or moment of `date_of` was made: a day counts to its end."""
-    day = datetime.timedelta(days=1, microseconds=-1) if len(date) == len("2026-05-04") else datetime.timedelta()
+    day = _DAY - datetime.timedelta(microseconds=1) if len(date) == len("2026-05-04") else datetime.timedelta()
     return _moment(date) + day
 
 
@@ -188,9 +201,9 @@ class Logbook:
             (whole,) = database.execute("PRAGMA quick_check(1)").fetchone()
             if whole != "ok":
                 raise CalibrationError(f"{self.path}: is damaged, and nothing is entered: {one_line(whole)}")
-            if found := self._select(database, "WHERE sha256 = ?", entry.sha256):
+            if found := self._valid(database, "WHERE sha256 = ?", entry.sha256):
                 return found[0], False
-            if found := self._select(database, "WHERE machine = ? AND readings = ?", entry.machine, entry.readings):
+            if found := self._valid(database, "WHERE machine = ? AND readings = ?", entry.machine, entry.readings):
                 there = f"those of entry {found[0].number} of {found[0].date}"
                 raise SessionError(f"{entry.label}: its readings are {there}, with another description")
             values = {name: getattr(entry, name) for name in _COLUMNS}
@@ -199,6 +212,25 @@ class Logbook:
             names, places = ", ".join(_COLUMNS), ", ".join("?" * len(_COLUMNS))
             done = database.execute(f"INSERT INTO entries ({names}) VALUES ({places})", [*values.values()])
         return replace(entry, number=int(done.lastrowid or 0)), True
+
+    def withdraw(self, number: int, why: str) -> Entry:
+        """Say why an entry counts no more, and give it; it stays. A CalibrationError: none of that number counts."""
+        with self._open(make=True) as database, database:
+            database.executescript(f"BEGIN IMMEDIATE;{_WITHDRAWALS}COMMIT;")
+            database.execute("BEGIN IMMEDIATE")
+            found = self._valid(database, "WHERE number = ?", number)
+            if not found:
+                raise CalibrationError(f"{self.path}: no entry {number}, or it is withdrawn already")
+            database.execute("INSERT INTO withdrawals (number, why) VALUES (?, ?)", (number, why))
+        return found[0]
+
+    def withdrawn(self) -> tuple[tuple[Entry, str], ...]:
+        """Entries that count no more, and why; raises as `entries`."""
+        with self._open() as database:
+            why = self._withdrawn(database)
+            return tuple(
+                (one, why[one.number]) for one in self._select(database, "ORDER BY number") if one.number in why
+            )
 
     def add_diagnosis(self, sha256: str, document: Mapping[str, Any]) -> None:
         """Keep a diagnosis, in JSON's types, by its session's SHA-256; the first one stays. Raises as `add`."""
@@ -212,17 +244,17 @@ class Logbook:
         if not self.path.exists():
             return {}
         with self._open() as database:
-            if not database.execute("SELECT 1 FROM sqlite_master WHERE name = 'diagnoses'").fetchone():
+            if not self._has(database, "diagnoses"):
                 return {}
             rows = database.execute("SELECT sha256, document FROM diagnoses").fetchall()
         return {sha256: json.loads(document) for sha256, document in rows}
 
     def entries(self, machine: str | None = None) -> tuple[Entry, ...]:
-        """Those of a machine, or all, by date; a CalibrationError: no such file or machine, or it is no logbook."""
+        """By date those that count, of a machine or of all; a CalibrationError: no such file, machine, or logbook."""
         if not self.path.exists():
             raise CalibrationError(f"{self.path}: no such logbook; `mtcal logbook add {self.path} SESSION` begins one")
         with self._open() as database:
-            found = sorted(self._select(database, "ORDER BY number"), key=lambda entry: entry.moment)
+            found = sorted(self._valid(database, "ORDER BY number"), key=lambda entry: entry.moment)
         if machine is None:
             return tuple(found)
         known = list(dict.fromkeys(entry.machine for entry in found))
@@ -261,7 +293,20 @@ class Logbook:
             raise CalibrationError(f"{self.path}: cannot be used as a logbook: {error}") from None
 
     @staticmethod
-    def _select(database: sqlite3.Connection, rest: str, *values: str) -> list[Entry]:
+    def _has(database: sqlite3.Connection, table: str) -> bool:
+        return bool(database.execute("SELECT 1 FROM sqlite_master WHERE name = ?", (table,)).fetchone())
+
+    def _withdrawn(self, database: sqlite3.Connection) -> dict[int, str]:
+        if not self._has(database, "withdrawals"):
+            return {}
+        return dict(database.execute("SELECT number, why FROM withdrawals").fetchall())
+
+    def _valid(self, database: sqlite3.Connection, rest: str, *values: str | int) -> list[Entry]:
+        gone = self._withdrawn(database)
+        return [one for one in self._select(database, rest, *values) if one.number not in gone]
+
+    @staticmethod
+    def _select(database: sqlite3.Connection, rest: str, *values: str | int) -> list[Entry]:
         rows = database.execute(f"SELECT number, {', '.join(_COLUMNS)} FROM entries {rest}", values).fetchall()
         found = [dict(zip(("number", *_COLUMNS), row, strict=True)) for row in rows]
         for one in found:
