@@ -74,6 +74,14 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
 
 
 @pytest.mark.long
+def test_what_aligns_a_pointer_is_measured_and_not_identified(tmp_path, mtcal):
+    status, said = mtcal("run", "pointer_zero", "--output", tmp_path / "zero")
+    assert status == 0, said.err
+    assert f"next: mtcal align-pointer {tmp_path / 'zero'}" in " ".join(said.out.split())
+    assert mtcal("align-pointer", tmp_path / "zero" / "session")[0] == 0
+
+
+@pytest.mark.long
 def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
     procedure, site = bench.write("small.yaml", PROCEDURE), bench.write("site.yaml", {**SITE, "noise": 3e-7})
     status, said = mtcal("run", procedure, "--site", site, "--until", "U=1.5um", "--json")

@@ -27,7 +27,7 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
     \b
     mtcal align-pointer turn.csv --machine 5um
     mtcal align-pointer turn.csv along_y.csv --setup B
-    mtcal run pointer_centre --no-identify && mtcal align-pointer mtcal_output/pointer_centre/session
+    mtcal run pointer_centre && mtcal align-pointer mtcal_output/pointer_centre/session
     """
     from machine_tool_calibration.importing.own import read_alignment
     from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle

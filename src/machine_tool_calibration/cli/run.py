@@ -90,7 +90,10 @@ def command(
     world = read_site(str(site)) if site is not None else SiteSpec()
     if seed is not None:
         world = world.model_copy(update={"seed": seed})
-    folder = free_folder(read_procedure(file).name, output)
+    described = read_procedure(file)
+    folder = free_folder(described.name, output)
+    aligns = described.path.azimuth is not None  # a pointer is aligned by what is measured, and nothing identified
+    asked["identify"] = asked["identify"] and not aligns
     asked["parameters"] = None if parameters is None else parameters.resolve()
     setting = Setting(output=folder, site=world, until=wanted, **asked)
     with TemporaryDirectory() as own:
@@ -109,7 +112,8 @@ def command(
         parts += known_after(chosen, wanted, measured.reached, measured.session_folder or folder)
     parts += [result_table(measured), files_table(measured)]
     if measured.session_folder is not None:
-        parts.append(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
+        verbs = ("align-pointer",) if aligns else ("identify", "diagnose")
+        parts.append(f"next: {', '.join(f'mtcal {verb} {measured.session_folder}' for verb in verbs)}")
     tell_either(_document(measured, reaches=wanted is not None), parts, as_json)
 
 
