@@ -18,6 +18,7 @@ from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.session import load
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.planning.what_to_measure import Advice
@@ -26,6 +27,7 @@ from machine_tool_calibration.reports.diagnosis_document import diagnosis_docume
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import read_session, write_session
+from machine_tool_calibration.session.gaps import filled
 from machine_tool_calibration.session.session import Session, refuse_repeated
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.spec import PLANS
@@ -51,6 +53,34 @@ def moved(session: Session) -> Session:
 def approached(session: Session) -> Session:
     columns = {**session.readings.columns, "dir_x": -session.readings.columns["dir_x"]}
     return session.with_readings(replace(session.readings, columns=columns))
+
+
+@pytest.mark.parametrize(("column", "value"), [("temperature_air", 85.0), ("air_pressure", 90000.0)])
+def test_a_spike_of_a_sensor(sound: Session, column: str, value: float) -> None:
+    sensed = sound.readings.columns[column].copy()
+    sensed[7] = value
+    spiked = sound.with_readings(replace(sound.readings, columns={**sound.readings.columns, column: sensed}))
+    (says,) = suspicions([spiked])
+    assert f"{column} is {value:g} in row {sound.readings.row[7]}" in says and not suspicions([sound])
+    sensed[7:] = value  # it stays there
+    assert not suspicions([spiked])
+
+
+@pytest.mark.parametrize(("gone", "key"), [([3, 11], "those before and after"), ([8, 9, 10], "it is not used")])
+def test_gaps_of_a_sensor(sound: Session, gone: list[int], key: str) -> None:
+    name, time = "temperature_air", sound.readings.columns["time"]
+    sensed = 20.0 + time / 3600.0
+    sensed[gone] = np.nan
+    columns = {**sound.readings.columns, name: sensed}
+    session = sound.with_readings(replace(sound.readings, columns=columns))
+    (says,) = suspicions([session])
+    assert f"{name} has no value in {np.isnan(sensed).sum()} of {len(time)} rows: {key}" in says
+    seen = build_model(session)[0].observations.readings.columns[name]
+    if "those" in key:
+        np.testing.assert_allclose(seen, 20.0 + time / 3600.0, rtol=0.0, atol=1e-9)
+    else:
+        np.testing.assert_array_equal(seen, sensed)
+    assert not filled({k: v for k, v in columns.items() if k != "time"})
 
 
 def test_a_column_of_an_axis_that_was_not_filled_in() -> None:

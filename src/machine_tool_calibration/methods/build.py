@@ -14,6 +14,7 @@ from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
 from machine_tool_calibration.session.checks.places import has_stations, misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.gaps import without_gaps
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import together
@@ -47,7 +48,7 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     name = model_of(session.method, model)
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
-    built: MethodModel = load(spec_of(session).model).build(session, name)
+    built: MethodModel = load(spec_of(session).model).build(without_gaps(session), name)
     return built, name
 
 

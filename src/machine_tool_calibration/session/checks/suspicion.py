@@ -8,7 +8,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, groups, occurrence
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
+from machine_tool_calibration.session.gaps import filled
+from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, ENVIRONMENT_COLUMNS, Session
 from machine_tool_calibration.words import say, together
 
 _FEWEST_COPIES = 4  # equal readings: fewer may be alike by chance
@@ -19,6 +20,10 @@ _COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by it
 _WRITTEN = 1e-8  # m or rad: positions are written with so many decimals that they differ by less
 _WHOLE = 1e-6  # of a step: rounding
 _BY_CHANCE = 0.01  # probability of equal readings below which they are one reading
+# By how much a value that was sensed is off those before and after it, where no air and no machine changes and comes
+# back: °C, Pa and a share. A sensor of 85 °C has just been switched on.
+_SPIKE = {"temperature_": 5.0, "air_pressure": 3000.0, "relative_humidity": 0.4}
+_FEW = 0.05  # share of a sensor's values up to which such are single ones
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
 
 
@@ -27,11 +32,11 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
     another unit. Rows written twice. Places off the machine's travel. Fewer or more repeats than stated. Directions of
-    approach against the moves. And what the method finds (`MethodSpec.suspicious`).
+    approach against the moves. Spikes and gaps of sensors. And what the method finds (`MethodSpec.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _copied, read_off, _beside, _recorded_before, _repeated, _approached)
+    checks = (_still, _rounded, _copied, read_off, _beside, _recorded_before, _repeated, _approached, _spiked, _missed)
     return [
         together((name, words), "")
         for name, session in pairs
@@ -129,3 +134,28 @@ def _approached(session: Session) -> Iterator[str]:
         # From one side alone many machines approach whichever way they come.
         if n >= _FEWEST_MOVES and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
             yield say("suspicion.approach", column=name, n=opposite, count=n)
+
+
+def _spiked(session: Session) -> Iterator[str]:
+    """Single values of a sensor that are far off those sensed before and after."""
+    time = session.readings.columns.get("time")
+    order = np.arange(len(session.readings)) if time is None else np.argsort(time, kind="stable")
+    for name, sensed in session.readings.columns.items():
+        most = next((size for begin, size in _SPIKE.items() if name.startswith(begin)), np.inf)
+        known = order[np.isfinite(sensed[order])]
+        step = np.diff(sensed[known])
+        there, back = step[:-1], step[1:]
+        spike = known[1:-1][(there * back < 0.0) & (np.minimum(np.abs(there), np.abs(back)) > most)]
+        if 0 < len(spike) <= _FEW * len(known):
+            row, value = int(session.readings.row[spike[0]]), f"{sensed[spike[0]]:.5g}"
+            yield say("suspicion.spike", column=name, n=len(spike), row=row, value=value)
+
+
+def _missed(session: Session) -> Iterator[str]:
+    """Values of a sensor that are missing."""
+    columns, read = session.readings.columns, np.isfinite(session.readings.displacement)
+    known, count = filled(columns), int(read.sum())
+    for name in ENVIRONMENT_COLUMNS:
+        gone = int(np.sum(read & ~np.isfinite(columns[name]))) if name in columns else 0
+        if 0 < gone < count:
+            yield say("suspicion.filled" if name in known else "suspicion.missed", column=name, n=gone, count=count)
