@@ -15,7 +15,7 @@ from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.tables import TextTable
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.nodes.measurement import Measured, Progress
+    from machine_tool_calibration.nodes.measurement import Counting, Measured
 
 _DOMAIN = click.IntRange(0, 232)
 _namespace = click.option(
@@ -47,7 +47,7 @@ graph_options = options(
 
 
 @contextmanager
-def readings_bar() -> Iterator[Progress]:
+def readings_bar() -> Iterator[Counting]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
     with bar("starting", counted=True) as update:
         screen, last, counted = console(stderr=True), "", 0

@@ -258,7 +258,7 @@ def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
-        verdict="",
+        verdict="missing_effect",  # unless it turns out to be another
         accepted=added.accepted,
         search=search,
         noise=beside,
@@ -269,8 +269,8 @@ def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress
         set_aside=aside,
     )
     verdict = _verdict(found)
-    if verdict == "missing_effect":
-        return replace(found, verdict=verdict)
+    if verdict == found.verdict:
+        return found
     return replace(found, verdict=verdict, accepted=(), fitted=added.fitted[:1], noise=noise)
 
 

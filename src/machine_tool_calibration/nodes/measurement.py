@@ -49,7 +49,7 @@ _ON_THE_WAY = 5.0
 _LONGEST = 40  # readings of a stage: a minute or two
 _COUNTERS = ("resent", "stale", "unstable", "recoveries", "restarts")
 
-Progress = Callable[[str, int, int], None]
+Counting = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
 
 
@@ -137,7 +137,7 @@ def free_folder(name: str, given: Path | None) -> Path:
     raise CalibrationError("mtcal_output: holds too many measurements")
 
 
-def measure(file: Path, setting: Setting, progress: Progress = lambda text, done, total: None) -> Measured:
+def measure(file: Path, setting: Setting, progress: Counting = lambda text, done, total: None) -> Measured:
     """Run a procedure from the first process to the last file.
 
     A CalibrationError: the procedure or the setting is wrong, a node does not start or ends, or the procedure ends in
@@ -300,7 +300,7 @@ class Stages:
         publisher = client.node.create_publisher(DiagnosticArray, "until/status", LATCHED)
         self._status = StatusTopic(client.node, "until", publisher=publisher)
 
-    def next(self, progress: Progress) -> None:
+    def next(self, progress: Counting) -> None:
         """Ask for the next stage, or for the end; a person who brings the instrument to another setup resumes."""
         found, client = self.last(progress), self._client
         by_hand = self._by_hand and client.procedure.entries["setup"] != found.setup
@@ -317,7 +317,7 @@ class Stages:
         if not client.wait(goes_on, float("inf") if by_hand else _ANSWER):
             raise CalibrationError("the procedure does not go on")
 
-    def last(self, progress: Progress) -> Reached:
+    def last(self, progress: Counting) -> Reached:
         """What is known after the readings so far."""
         captured, total = (self._client.procedure.number(name) for name in ("captured", "total"))
         if not self._client.wait(lambda: self._client.heard.count[1] >= captured, _ANSWER):
@@ -342,7 +342,7 @@ class Stages:
         return found
 
 
-def _run(client: Client, total: int, progress: Progress, stages: Stages | None = None) -> None:
+def _run(client: Client, total: int, progress: Counting, stages: Stages | None = None) -> None:
     client.call("procedure/start", _COLLECT)
     seen, begun = time.monotonic(), False
 
@@ -379,7 +379,7 @@ def _run(client: Client, total: int, progress: Progress, stages: Stages | None =
         stages.last(progress)
 
 
-def _identify(client: Client, listeners: _Listeners, total: int, progress: Progress) -> dict[str, Any]:
+def _identify(client: Client, listeners: _Listeners, total: int, progress: Counting) -> dict[str, Any]:
     progress("identifying", total, total)
 
     def collected() -> bool:  # the description may come later than the readings
