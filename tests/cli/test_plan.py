@@ -47,6 +47,12 @@ def test_where_it_was_not_enough_the_next_step_is_named(backlash: Path, verb: Ve
     assert (never, further) == ("not enough", f"`mtcal diagnose {backlash}` says what would tell more")
 
 
+def test_choices_are_looked_at_before_anything_is_chosen(tmp_path: Path, verb: Verb) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text((ROOT / "config" / "procedures" / "ball_bar.yaml").read_text() + "\nchoices: {features: [pin]}\n")
+    assert "choices.features are for a workpiece" in verb.refused("plan", file)
+
+
 def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
     rows = verb("plan", "direct_iso230_2", "--json").document["uncertainties"]["position_error_u"]
     assert all(row[0] > 0 and row[1:] == [None, None] for row in rows)

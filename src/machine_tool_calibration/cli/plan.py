@@ -71,14 +71,18 @@ def command(
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.planning.forecast import Assumed, forecast
+    from machine_tool_calibration.planning.offer import offer
     from machine_tool_calibration.procedure import read_procedure
     from machine_tool_calibration.reports.planning import best_plan_parts, forecast_parts
+    from machine_tool_calibration.session.text import read_text
 
     if not optimise and (told or output or plot):
         raise click.UsageError("--told, --output and --plot belong to --optimise.")
     assumed = Assumed(model, own_effects(files), warming, angular)
     file = procedure_file(procedure)
+    text = read_text(file)
     if not optimise:
+        offer(text, str(file))  # refuses candidates that are none
         with shared.progress_bar() as progress:
             expected = forecast(read_procedure(file), assumed, progress)
         shared.tell_either(expected.document(), forecast_parts(expected), as_json)
@@ -87,13 +91,12 @@ def command(
     from machine_tool_calibration.budget.patterns import shared_errors
     from machine_tool_calibration.planning.best_plan import best_plan
     from machine_tool_calibration.plots.maps import draw_best_plan
-    from machine_tool_calibration.session.text import read_text
 
     if output is not None and output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")
     complete = replace(assumed, errors=shared_errors)
     with shared.progress_bar() as progress:
-        found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
+        found = best_plan(text, str(file), complete, told=told, seed=seed, progress=progress)
     shared.tell_either(found.document(), best_plan_parts(found), as_json)
     shared.save_picture(partial(draw_best_plan, found), plot)
     if output is not None:

@@ -8,9 +8,9 @@ from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDri
 from machine_tool_calibration.instruments.drivers.driver import Driver, Health, InstrumentError, Sample
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
 from machine_tool_calibration.session.record import validated
-from machine_tool_calibration.session.text import load_yaml, read_text, read_yaml
+from machine_tool_calibration.session.text import read_yaml
 
-__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver", "load_yaml", "read_text"]
+__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver"]
 
 PLUGIN_GROUP = "machine_tool_calibration.drivers"
 LARGEST_FILE = 1 << 20
