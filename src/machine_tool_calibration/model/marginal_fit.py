@@ -29,6 +29,7 @@ from machine_tool_calibration.model.model import Assembly, RandomPosterior, Rand
 from machine_tool_calibration.model.noise_memory import added_by_memory
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import (
+    CURVES,
     DRIFT,
     Family,
     PureError,
@@ -102,6 +103,7 @@ class MarginalFit:
     squares: float  # weighted sum of squared residuals that is left beside what does not reproduce
     # (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`
     ratios: Array
+    families: tuple[str, ...]  # (u,) name of the family of each
     by_memory: Array | None = None  # what of the covariance is by the noise's memory; None where it was not looked at
 
     @property
@@ -121,6 +123,12 @@ class MarginalFit:
         """(k,) places of the coefficients of a session's functions in the solution."""
         first = len(self.solution.theta) - sum(map(len, self.functions)) + sum(map(len, self.functions[:index]))
         return np.arange(first, first + len(self.functions[index]))
+
+    def expected(self, index: int, family: str) -> Array:
+        """(k, n) what functions of a family do to a session's readings, each of the size that is published, m."""
+        first, functions = sum(map(len, self.functions[:index])), self.functions[index]
+        own = [k for k in range(len(functions)) if self.families[first + k] == family]
+        return np.asarray(self.scatter * self.ratios[[first + k for k in own], None] * functions[own])
 
 
 @single_blas()
@@ -173,7 +181,8 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
     )
     told = (found.scatter, found.sizes, found.random)
-    return MarginalFit(tuple(parts), published, *told, functions, found.squares, found.ratios, by_memory)
+    of_each = tuple(names[k] for k in place)
+    return MarginalFit(tuple(parts), published, *told, functions, found.squares, found.ratios, of_each, by_memory)
 
 
 def _with_its_own(covariance: Array, known: PriorRows, scatter: float) -> Array:
@@ -259,7 +268,7 @@ def _average_over_sizes(
     # Where nothing was read again and what is left is mostly something else, neither do runs.
     unmoved = imperfect.copy()
     if solution.chi_square - known.squares < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
-        unmoved[runs] = known.unrepeated[own]
+        unmoved[runs] = known.unrepeated[own] & np.array([names[was[k]] != CURVES for k in own], dtype=bool)
     tau = np.zeros((len(known.weights), u))
     # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too.
     tau[:, runs] = known.ratios[:, own] * plain * min(known.found.noise, 1.0) / scatter
@@ -293,7 +302,8 @@ def _root(solved: Solved, total: Array, squares: Array) -> Array:
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
     """Parts with the random functions, the family of each coefficient, and the families' names."""
-    names = tuple(dict.fromkeys(family.name for own in families for family in own))
+    named = dict.fromkeys(family.name for own in families for family in own)
+    names = tuple(sorted(named, key=lambda name: name == IMPERFECT))  # that one last, as it is no size to be found
     parts, place, first = [], [np.zeros(0, dtype=np.int64)], problem.size
     for part, own in zip(problem.parts, families, strict=True):
         if own:
@@ -436,8 +446,8 @@ def _sizes(
     unit = found.noise * rms(sigma)
     out = []
     mean_square = np.bincount(place, seen, len(names)) / len(sigma)
-    # What is read off the session as a whole says nothing of how its runs differ.
-    for name in (name for name in dict.fromkeys(names) if name != DRIFT):
+    # What is read off the session as a whole, and what the machine does, say nothing of how runs differ.
+    for name in (name for name in dict.fromkeys(names) if name not in (DRIFT, CURVES)):
         own = [k for k, other in enumerate(names) if other == name]
         weights = np.where(np.isin(np.arange(len(names)), own), mean_square, 0.0)
         low, middle, high = (unit * size for size in found.quantiles(weights, (0.025, 0.5, 0.975)))

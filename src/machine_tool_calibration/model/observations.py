@@ -40,6 +40,9 @@ class Observations:
     # by axis (x, y, z) the lowest and highest position that the sessions of a joint fit have read, m; None where this
     # session is fitted by itself
     covered: Mapping[str, tuple[float, float]] | None = None
+    # (k, n) what curves between the nodes of the tables of a joint fit do to the readings, of a size of about 1; None
+    # where all were taken at nodes
+    curves: Array | None = None
     # rotations (EAX … ECZ) of which the sessions of a joint fit sense the lever arm that the chain gives
     rigid: frozenset[str] = frozenset()
 
@@ -140,7 +143,8 @@ def together(observed: Sequence[Observations]) -> Observations:
     """
     names = ("position", "direction", "table_direction", "path", "run")
     arrays: dict[str, Any] = {name: np.concatenate([getattr(o, name) for o in observed]) for name in names}
-    return replace(observed[0], readings=joined([o.readings for o in observed]), rotation_direction=None, **arrays)
+    arrays |= {"rotation_direction": None, "curves": None}
+    return replace(observed[0], readings=joined([o.readings for o in observed]), **arrays)
 
 
 def first_states(position: Array, fields: Array) -> tuple[IntArray, IntArray]:

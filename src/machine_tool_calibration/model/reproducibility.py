@@ -29,6 +29,8 @@ from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
 DRIFT = "drift"
 """Name of the family of functions of time that all runs of a session have in common."""
+CURVES = "curves"
+"""Name of that of what the machine's errors are between the nodes of tables."""
 
 # Readings of a group for each degree, so that a short run is not all spread.
 _FOR_A_DEGREE = 3
@@ -54,8 +56,8 @@ class Family:
 
     @property
     def of_runs(self) -> bool:
-        """Whether it is of runs, mountings or passes: of the measurement, and not a pattern that a part may have."""
-        return not self.name.startswith("rows")
+        """Whether it is of runs, mountings or passes: of the measurement, and not a pattern of part or machine."""
+        return not self.name.startswith("rows") and self.name != CURVES
 
     @property
     def count(self) -> int:
@@ -127,9 +129,10 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     Runs (a setup in one repeat, for one target) and mountings (a stretch of consecutive readings of one setup), which
     are one family where they are the same. Of direct deviations runs and passes over one axis; of a plate its runs, and
     the rows and columns of a grid of holes that were drilled one after the other; of circles runs and their centres.
+    Where several sessions are fitted together, also what the machine does between the nodes of their tables.
     """
     if spec_of(observations.session).reads_machine:
-        return tuple(family for family in _of_direct(observations) if family.shapes.any())
+        return (*(family for family in _of_direct(observations) if family.shapes.any()), *_curves(observations))
     clock, readings = observations.clock, observations.readings
     # Readings are in the order of time, in whatever order they are given.
     order = np.argsort(clock, kind="stable")
@@ -143,11 +146,17 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     mounting = in_order_of_appearance(mounting)
     if not np.array_equal(run, mounting):
         families.append(_family(observations, "mounting", mounting))
-    return tuple(family for family in families if family.shapes.any())
+    return (*(family for family in families if family.shapes.any()), *_curves(observations))
+
+
+def _curves(observations: Observations) -> tuple[Family, ...]:
+    if observations.curves is None:
+        return ()
+    return (Family(CURVES, np.zeros(len(observations), dtype=np.int64), observations.curves, offset=False),)
 
 
 def with_drift(observations: Observations) -> tuple[Family, ...]:
-    """Families of runs, mountings and passes; and of many of them what they share: one smooth function of time.
+    """Families of runs, mountings and passes, and curves; and of many runs what they share: a smooth function of time.
 
     Runs that differ only because something drifts through all of them would otherwise count as that many random
     functions, which move the map. Few do not tell the one from the other. Where the machine's deviations are read
@@ -155,14 +164,15 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
     """
     families = tuple(family for family in reproducibility(observations) if family.of_runs)
     fewest = min((family.count for family in families), default=0)
+    curves = _curves(observations)
     if fewest < 2 * len(priors.DRIFT) or not observations.timed or spec_of(observations.session).reads_machine:
-        return families
+        return (*families, *curves)
     scaled = scaled_values(observations.clock)
     if scaled is None:
-        return families
+        return (*families, *curves)
     weights = np.array(priors.DRIFT)[:, None]
     shapes = np.polynomial.legendre.legvander(scaled, len(weights)).T[1:] * weights
-    return (*families, Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offset=False))
+    return (*families, Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offset=False), *curves)
 
 
 def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:

@@ -24,7 +24,7 @@ from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, IntArray, rms
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.error_motions import interpolation, off_a_line
-from machine_tool_calibration.methods.joint.map import squared_bend
+from machine_tool_calibration.methods.joint.between_nodes import squared_bend
 from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
 from machine_tool_calibration.trends.statement import Part, Statement
 

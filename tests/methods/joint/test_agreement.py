@@ -114,7 +114,9 @@ def test_sessions_of_different_places_are_not_compared_there(several: SimpleName
 
 def test_what_is_shown_of_a_difference_is_clear_beside_the_scatter() -> None:
     """Not the end of an axis where it is largest and hardly known, once the readings scatter more than declared."""
-    scores = _Scores(np.diag([1.0, 0.04]), np.array([8.0, 0.16]), np.array([1.0, 0.04]), np.array([0, 2]))
+    scores = _Scores(
+        np.diag([1.0, 0.04]), np.array([8.0, 0.16]), np.array([1.0, 0.04]), np.array([0, 2]), np.zeros((2, 0))
+    )
     shape = np.array([[1.0, 0.0], [1.0, 1.0]])  # 8 with u = 1; 12 with u = 5.1
     assert scores.difference(0, shape, 1.0) == pytest.approx((8.0, 1.0))
     assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 1.0) == pytest.approx((26.0, np.sqrt(15.25)))
@@ -132,7 +134,9 @@ def test_the_tail_of_a_chi_square_beyond_floating_point_is_that_of_the_exponenti
 
 
 def _scored(columns: np.ndarray, data: np.ndarray, start: list[int]) -> _Scores:
-    return _Scores(columns @ columns.T, columns @ data, np.sum(columns**2, axis=1), np.array(start))
+    return _Scores(
+        columns @ columns.T, columns @ data, np.sum(columns**2, axis=1), np.array(start), np.zeros((len(columns), 0))
+    )
 
 
 def test_a_difference_is_tested_by_what_it_takes_off_the_sum_of_squares() -> None:
@@ -222,7 +226,7 @@ PLANS: dict[str, dict[str, Any]] = {
 
 
 def _machine(seed: int, **changed: np.ndarray) -> dict[str, Any]:
-    """Motions with straight lines between the nodes of the grid; some changed."""
+    """Motions with smooth curves between the nodes of the grid; some changed."""
     rng = np.random.default_rng(seed)
     motions = {}
     for axis in "XYZ":
@@ -231,7 +235,7 @@ def _machine(seed: int, **changed: np.ndarray) -> dict[str, Any]:
             size = 4e-6 if component in "XYZ" else 1e-5
             values = size * np.cumsum(rng.normal(size=len(nodes))) / 2
             values = values - values[0] + changed.get(f"E{component}{axis}", np.zeros(len(nodes)))
-            motions[f"E{component}{axis}"] = {"nodes": nodes, "values": values.tolist(), "interpolation": "linear"}
+            motions[f"E{component}{axis}"] = {"nodes": nodes, "values": values.tolist(), "interpolation": "cubic"}
     travel = {"X": (-0.11, 0.11), "Y": (-0.11, 0.11), "Z": (0.0, 0.06)}
     return {"seed": seed, "chain": CHAIN, "travel": travel, "random": None, "motions": motions}
 
@@ -243,22 +247,20 @@ def _measured(name: str, seed: int, **changed: np.ndarray) -> Simulated:
     return simulate(SimulationSpec.model_validate(content))
 
 
-def _normalised(result: JointResult, simulated: Simulated) -> float:
-    """Mean squared normalised error within the grid, without what all readings leave open.
-
-    Of z, which only a tracker in space tells, at the heights and places that it has read: between these the
-    uncertainty holds that a motion may bend, which those of this machine do not.
-    """
+def _missed(result: JointResult, simulated: Simulated) -> np.ndarray:
+    """(n, 3) errors of the map, without what all readings leave open."""
     points, tables = result.error_map.points, result.common.tables
     field = map_field(tables, points).reshape(-1, 3 * len(points))
     open_ = field.T @ np.array([result.common.fixed[label] for table in tables for label in table.labels])
     error = (result.error_map.error - simulated.truth.machine.position_error(points)).ravel()
     known = np.isfinite(error)
-    error = (error - open_ @ np.linalg.lstsq(open_[known], error[known], rcond=1e-9)[0]).reshape(-1, 3)
-    uncertainty = result.error_map.uncertainty
+    return np.asarray(error - open_ @ np.linalg.lstsq(open_[known], error[known], rcond=1e-9)[0]).reshape(-1, 3)
+
+
+def _normalised(result: JointResult, simulated: Simulated) -> float:
+    """Mean squared normalised error within the grid, at its places and between."""
+    points, uncertainty, error = result.error_map.points, result.error_map.uncertainty, _missed(result, simulated)
     good = (uncertainty > 1e-12) & (np.abs(points) < 0.1101).all(axis=1)[:, None]
-    at_nodes = (np.abs(points[:, :2, None] - np.array(NODES)).min(axis=2) < 1e-6).all(axis=1)
-    good[~at_nodes, 2] = False
     return float(np.mean((error[good] / uncertainty[good]) ** 2))
 
 
@@ -294,3 +296,28 @@ def test_two_rotary_axes_are_not_one() -> None:
     sessions = [_measured("rotary", seed).session for seed in (1, 2)]
     agreement = identify_sessions(FitRequest(sessions, ("first", "second"))).agreement
     assert agreement.contradictions and agreement.contradictions[0].motion.endswith("C")
+
+
+@pytest.mark.long
+def test_a_ball_bar_sees_the_curves_between_a_trackers_places(many: Any) -> None:
+    """A smooth machine, read at five places of each axis and on circles between: sessions agree, and U is right."""
+    found, wrong, some = [], 0, many.part(0.25)
+    chain, travel = "w-Y-X-b-Z-t", {"X": (0.0, 0.4), "Y": (0.0, 0.4), "Z": (0.0, 0.3)}
+    grid, nodes = [0.05, 0.125, 0.2, 0.275, 0.35], [0.0, 0.13, 0.26, 0.4]
+    plane = {"method": "tracking_interferometer", "dimension": 2, "chain": chain, "x": grid, "y": grid}
+    circle = {"method": "ball_bar", "chain": chain, "centre": (0.2, 0.2, 0.0)}
+    for seed in range(some.count):
+        rng = np.random.default_rng(seed)
+        sizes = {f"E{component}{axis}": 4e-6 if component in "XYZ" else 1e-5 for axis in "XY" for component in "XYZABC"}
+        motions = {
+            name: {"nodes": nodes, "values": np.append(0.0, size * rng.normal(size=3)).tolist()}
+            for name, size in sizes.items()
+        }
+        machine = {"seed": seed, "chain": chain, "travel": travel, "random": None, "motions": motions}
+        specs = [{"seed": 9 + seed, "plan": plan, "machine": machine} for plan in (plane, circle)]
+        measured = [simulate(SimulationSpec.model_validate(spec)) for spec in specs]
+        result = identify_sessions(FitRequest(tuple(one.session for one in measured), ("plane", "circle")))
+        u = result.error_map.uncertainty
+        found.append(float(np.nanmean((_missed(result, measured[0])[u > 1e-9] / u[u > 1e-9]) ** 2)))
+        wrong += bool(result.agreement.contradictions)
+    assert wrong <= 1 and np.mean(found) == pytest.approx(1.0, abs=0.5)

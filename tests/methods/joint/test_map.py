@@ -22,6 +22,8 @@ from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
+from ... import plates
+
 
 def _errors(result: JointResult, simulated: Simulated) -> np.ndarray:
     """Map against the truth, without what all readings leave open."""
@@ -212,3 +214,26 @@ def test_a_time_constant_of_nothing_is_not_published(several: SimpleNamespace) -
     assert "first/warmup_y.a" in names and "warmup_y.tau" not in names
     why = {entry.name: entry.why for entry in result.not_determined}
     assert "do not bound it" in why["warmup_y.tau"]
+
+
+def test_a_place_of_which_a_component_was_never_read_has_none_of_it() -> None:
+    """Y alone is read between two of nine places, and X at both ends by the same session: nobody knows EXY between."""
+    rng, noise = np.random.default_rng(3), 2e-7
+
+    def measured(x: np.ndarray, y: np.ndarray, along: np.ndarray) -> Session:
+        true = np.where(along, 3e-6 * np.sin(12.0 * y) + 1e-6, 5e-6 * y)
+        columns = {"x": x, "y": y, "z": 0.0 * x, "gx": along, "gy": 1.0 - along, "gz": 0.0 * x}
+        columns["displacement"] = true + noise * rng.normal(size=len(x))
+        return plates.session(columns, noise, "offset", ("EXX", "EYY", "EXY", "EYX"))
+
+    x, y = (np.tile(axis.ravel(), 2) for axis in np.meshgrid(np.linspace(0.0, 0.4, 5), np.linspace(0.0, 0.4, 9)))
+    grid = measured(x, y, np.repeat([1.0, 0.0], len(x) // 2))
+    between = np.array([0.0, 0.1, 0.225, 0.3, 0.4])
+    corners = np.array([0.0, 0.4, 0.0, 0.4])
+    line = measured(
+        np.append(0.0 * between, corners), np.append(between, np.sort(corners)), np.repeat([0.0, 1.0], [5, 4])
+    )
+    found = identify_sessions(FitRequest((grid, line), ("grid", "line"))).error_map
+    (at,) = np.flatnonzero(np.abs(found.points[:, 1] - 0.225) < 1e-9)
+    assert np.isnan(found.error[at, 0]) and np.isfinite(found.error[at, 1])
+    assert np.isfinite(np.delete(found.error, at, axis=0)[:, :2]).all()

@@ -2,12 +2,12 @@
 """Whether several sessions of one machine agree; if not, which contradicts the others and in which error motion.
 
 For every session and every unknown of the machine that it shares, the joint model is given a difference between what
-this session sees and what the others see: a smooth function of the axis's position, and only where both have read,
-as nothing is known of a difference elsewhere. How much better all readings then
-fit is a chi-square of as many degrees of freedom as the difference has beside the session's own unknowns. The readings'
-own spread counts: where they scatter more than was declared, by the sessions' fits one by one, a contradiction must
-exceed that. The largest is taken into the model before the next is looked for, so that one contradiction is not
-reported under several names.
+this session sees and what the others see: a smooth function of the axis's position, and only where both have read, as
+nothing is known of a difference elsewhere. How much better all readings then fit is a chi-square of as many degrees
+of freedom as the difference has beside the session's own unknowns. The readings' own spread counts: where they
+scatter more than was declared, by the sessions' fits one by one, a contradiction must exceed that. So does what the
+machine may do between the nodes of tables, where a session has read. The largest is taken into the model before the
+next is looked for, so that one contradiction is not reported under several names.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, interp
 from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.model.fit import JointFit, screen_joint
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
+from machine_tool_calibration.model.reproducibility import CURVES
 from machine_tool_calibration.words import say, together
 
 _LEVEL = 0.01
@@ -37,6 +38,7 @@ _ALIKE = 0.7
 _TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
 _NO_DEPENDENCE = 1e-6
+_CURVE = "|curve "
 # Units that people use, a millionth of those of SI.
 _MICRO = {"m": "µm", "rad": "µrad", "1": "µm/m", "1/K": "µm/(m K)", "m/K": "µm/K", "rad/K": "µrad/K"}
 # Positions at which a difference is looked at, and how near to each other ranges touch, m.
@@ -88,8 +90,8 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     candidates = _candidates(common.models)
     if not candidates:
         return Agreement(0, None, 1.0, (), say("agreement.nothing_shared"))
-    scores = _scores(joint, candidates)
     factor = max(1.0, spread)
+    scores = _scores(joint, candidates, factor)
     pending = list(range(len(candidates)))
     found: list[Contradiction] = []
     smallest, count = 1.0, 0
@@ -210,26 +212,31 @@ class _Scores:
     right: Array  # (k,) with the residuals
     squares: Array  # (k,) squared norms before anything was projected off
     start: IntArray  # (differences + 1,) first column of each
+    # (k, c) with what curves between nodes do, each of its size over that of the scatter
+    curves: Array
 
     def _own(self, k: int) -> slice:
         return slice(int(self.start[k]), int(self.start[k + 1]))
 
-    def _inverse(self, k: int) -> tuple[Array, int]:
-        """Pseudo-inverse of a difference's block, without what the model takes up, and its rank."""
+    def _half(self, k: int) -> Array:
+        """(values, rank) root of the pseudo-inverse of a difference's block, without what the model takes up."""
         own = self._own(k)
-        half = inverse_root(self.gram[own, own], self.squares[own], _ABSORBED)
-        return half @ half.T, half.shape[1]
+        return inverse_root(self.gram[own, own], self.squares[own], _ABSORBED)
 
     def test(self, k: int) -> tuple[float, int]:
         """The chi-square of a difference, and its degrees of freedom."""
-        (inverse, rank), right = self._inverse(k), self.right[self._own(k)]
-        return float(right @ inverse @ right), rank
+        half = self._half(k)
+        right, curves = half.T @ self.right[self._own(k)], half.T @ self.curves[self._own(k)]
+        covariance = np.eye(len(right)) + curves @ curves.T
+        return float(right @ np.linalg.solve(covariance, right)), len(right)
 
     def difference(self, k: int, shape: Array, spread: float) -> tuple[float, float]:
         """The largest value that is clearly a difference, of a `shape` per coefficient, and its uncertainty."""
-        inverse, _ = self._inverse(k)
-        value = shape @ (inverse @ self.right[self._own(k)])
-        uncertainty = spread * np.sqrt(np.einsum("vi,ij,vj->v", shape, inverse, shape).clip(0.0))
+        half, own = self._half(k), self._own(k)
+        value = shape @ (half @ (half.T @ self.right[own]))
+        root = shape @ half
+        root = np.concatenate([root, root @ (half.T @ self.curves[own])], axis=1)
+        uncertainty = spread * np.sqrt(np.einsum("vi,vi->v", root, root))
         ratio = np.abs(value) / np.maximum(uncertainty, 1e-300)
         clear = ratio > min(_CLEAR, float(ratio.max()) * 0.999)
         worst = int(np.argmax(np.where(clear, np.abs(value), -1.0)))
@@ -237,16 +244,28 @@ class _Scores:
 
     def without(self, k: int) -> _Scores:
         """The same with one difference taken into the model."""
-        own = self._own(k)
-        cross = self.gram[:, own] @ self._inverse(k)[0]
-        return replace(self, gram=self.gram - cross @ self.gram[own], right=self.right - cross @ self.right[own])
+        own, half = self._own(k), self._half(k)
+        cross = self.gram[:, own] @ half @ half.T
+        gram, right, curves = (values - cross @ values[own] for values in (self.gram, self.right, self.curves))
+        return replace(self, gram=gram, right=right, curves=curves)
 
 
-def _scores(joint: JointFit, candidates: Sequence[_Candidate]) -> _Scores:
+def _scores(joint: JointFit, candidates: Sequence[_Candidate], factor: float) -> _Scores:
     terms: list[list[Term]] = [[] for _ in joint.assembly.models]
     for number, entry in enumerate(candidates):
         names = tuple(Parameter(f"difference {number}.{k}", "1") for k in range(len(entry.columns)))
         terms[entry.session].append(Term(f"difference {number}", names, entry.columns))
+    for index, own in enumerate(terms):
+        curves = joint.marginal.expected(index, CURVES)
+        own.append(Term(_CURVE, tuple(Parameter(f"{_CURVE}{j}", "1") for j in range(len(curves))), curves))
     screened = screen_joint(joint, terms)
-    start = np.cumsum([0, *(len(entry.columns) for entry in candidates)])
-    return _Scores(screened.gram[:-1, :-1], screened.gram[:-1, -1], screened.squares[:-1], start)
+    is_curve = np.array([_CURVE in name for name in screened.names], dtype=bool)
+    differences = np.flatnonzero(~is_curve)
+    gram, start = screened.gram[differences], np.cumsum([0, *(len(entry.columns) for entry in candidates)])
+    return _Scores(
+        gram[:, differences],
+        gram[:, -1],
+        screened.squares[differences],
+        start,
+        gram[:, :-1][:, is_curve] / np.sqrt(factor),
+    )

@@ -23,6 +23,7 @@ from machine_tool_calibration.estimation.solve import Linearised
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
 from machine_tool_calibration.methods.direct.datum import needed_rows
+from machine_tool_calibration.methods.joint.between_nodes import curves_seen
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import WAVES_NODES
 from machine_tool_calibration.model.fit import fit_models
@@ -74,7 +75,7 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     models = _acquainted(models) if len(models) > 1 else models
     tables = _shared_tables(models, linear[0]) if linear else ()
     random = {table.name for model in models for table in angles_of(model)}
-    shared = tuple(_with_tables(model, tables) for model in models)
+    shared = tuple(_with_curves(_with_tables(model, tables)) for model in models)
     angles = tuple(table for table in tables if table.name in random)
     common = _with_datum(expected(shared, angles), labels, tables)
     words = told_together((common.datum, in_words(angles)), "; ") if angles else common.datum
@@ -178,6 +179,12 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
         "left_out": tuple(entry for entry in model.left_out if entry.name not in there),
     }
     return replace(model, **changed)
+
+
+def _with_curves(model: MethodModel) -> MethodModel:
+    """The model, its observations knowing what they see of the machine's curves between nodes."""
+    curves = curves_seen(model)
+    return model if curves is None else replace(model, observations=replace(model.observations, curves=curves))
 
 
 def _translation(own: Sequence[MachineTable], new: Sequence[MachineTable]) -> dict[str, dict[str, float]]:

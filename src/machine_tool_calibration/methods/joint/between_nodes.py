@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the straight lines of the tables are off the machine's curves between nodes: in readings, and in the map.
+
+Sessions that are fitted together have the nodes of all that were read place by place. A ball bar reads on the move, and
+a table of many places has nodes at some of them: such readings see the curve, and all other unknowns have to follow.
+Nothing is known of a curve between two nodes but that all bend alike, by as much as the readings say.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, rms
+from machine_tool_calibration.machine.error_motions import off_a_line, parse_motion
+from machine_tool_calibration.model import rigid_body
+from machine_tool_calibration.model.model import MethodModel
+
+# Values of a table from which it can bend, and curves that are looked at, those that do most.
+_BENDS, _MOST_CURVES = 3, 300
+# Share of the square of a table's usual step below which a line is no way off: at a node but for rounding.
+_AT_A_NODE = 1e-3
+
+
+def between_nodes(
+    tables: Sequence[rigid_body.MachineTable],
+    theta: Array,
+    covariance: Array,
+    points: Array,
+    known: BoolArray | None = None,
+) -> Array:
+    """(k, n, 3) displacement of points (n, 3) by what each straight line between two nodes is off, m (k = 1).
+
+    From the values (K,) of the tables and their covariance. Beyond its nodes there is no line. Only values that are
+    `known` (K,) show a bend, and only between two that stand next to each other is there a line.
+    """
+    out, first = [np.zeros((0, len(points), 3))], 0
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        good = np.ones(len(table.labels), dtype=bool) if known is None else known[mine]
+        if table.is_squareness or good.sum() < _BENDS:
+            continue
+        right, lever = off_a_line(table.nodes, points[:, "XYZ".index(parse_motion(table.name).axis)])
+        if _all_at_nodes(table, lever):
+            continue
+        moved = rigid_body.map_field([replace(table, nodes=table.nodes[:1])], points)[0]
+        bend = squared_bend(table.nodes[good], theta[mine][good], covariance[mine, mine][np.ix_(good, good)])
+        lever = np.where(good[right - 1] & good[right], lever, 0.0)
+        intervals = np.unique(right[lever > 0.0])
+        out.append(((right == intervals[:, None]) * lever * np.sqrt(bend))[:, :, None] * moved)
+    return np.concatenate(out)
+
+
+def curves_seen(model: MethodModel) -> Array | None:
+    """(k, n) what curves of the machine's errors between the nodes of the model's tables do to its readings.
+
+    One for each interval of a table, with a second derivative that is the same for all, in m or rad over m^2; together
+    of size 1 for the readings that see them by root mean square. None where all were taken at nodes.
+    """
+    seen, found = model.observations, [np.zeros((0, len(model.observations)))]
+    for table in getattr(model, "tables", ()):
+        if table.is_squareness or len(table.nodes) < _BENDS:
+            continue
+        right, lever = off_a_line(table.nodes, seen.position[:, "XYZ".index(parse_motion(table.name).axis)])
+        if not _all_at_nodes(table, lever):
+            intervals = np.unique(right[lever > 0.0])
+            found.append((right == intervals[:, None]) * lever * table.scalar(seen.position, seen.direction))
+    columns = np.concatenate(found)
+    columns = columns[np.argsort(-np.einsum("kn,kn->k", columns, columns), kind="stable")[:_MOST_CURVES]]
+    size = np.sqrt(np.einsum("kn,kn->n", columns, columns))
+    return columns / rms(size[size > 0.0]) if size.any() else None
+
+
+def squared_bend(nodes: Array, value: Array, covariance: Array) -> float:
+    """Mean square of the second derivative of values (k,) at nodes (k,), less what their covariance adds to it."""
+    step = np.diff(nodes)
+    k = len(nodes)
+    slope = (np.eye(k)[1:] - np.eye(k)[:-1]) / step[:, None]
+    second = 2 * np.diff(slope, axis=0) / (step[1:] + step[:-1])[:, None]
+    noise = np.einsum("ik,kl,il->i", second, covariance, second)
+    found = (second @ value) ** 2
+    # A motion bends alike all over; where nodes are close together its bend is lost in the uncertainty.
+    weight = 1.0 / np.maximum(noise, 1e-6 * float(noise.max(initial=1e-300))) ** 2
+    return max(float(weight @ (found - noise) / weight.sum()), 0.0)
+
+
+def _all_at_nodes(table: rigid_body.MachineTable, lever: Array) -> bool:
+    return bool(lever.max(initial=0.0) <= _AT_A_NODE * float(np.ptp(table.nodes)) ** 2 / len(table.nodes) ** 2)
