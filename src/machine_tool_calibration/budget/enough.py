@@ -73,8 +73,11 @@ class Reached:
         }
 
 
-def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
-    """What the readings of one session tell, of which so many coordinates of the map are `wanted`."""
+def reached(chosen: FitRequest, until: Until, wanted: int = 1, *, whole: bool = True) -> Reached:
+    """What the readings of one session tell, of which so many coordinates of the map are `wanted`.
+
+    They are the `whole` measurement, or part of it: what comes slowly is not called absent after a few minutes.
+    """
     session = chosen.sessions[0]
     readings, time = session.readings, session.readings.columns.get("time")
     known = np.zeros(0) if time is None else time[np.isfinite(time)]
@@ -87,7 +90,7 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
             u = found_map.largest_expanded if found_map.determined >= wanted else float("inf")
             told = float(f"{u:.1e}")  # two digits (GUM 7.2.6)
             return replace(found, u=u, enough=told <= until.u * (1.0 + _ROUNDING))
-        probabilities, enough = _told(chosen, until.told)
+        probabilities, enough = _told(chosen, until.told, whole)
         return replace(found, probabilities=probabilities, enough=enough)
     except (CalibrationError, np.linalg.LinAlgError):  # not yet enough for the model
         return found
@@ -98,7 +101,7 @@ def determined(chosen: FitRequest) -> int:
     return complete.identify(chosen).error_map.determined
 
 
-def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], bool]:
+def _told(chosen: FitRequest, names: Sequence[str], whole: bool) -> tuple[dict[str, float], bool]:
     found, _ = complete.diagnose(chosen, progress=untold)
     probabilities, enough = dict.fromkeys(names, 0.0), dict.fromkeys(names, False)
     for one in found.search.findings:
@@ -107,7 +110,8 @@ def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], b
             effect = one.candidate.effect
             limits = {} if effect is None else {c.name: max(abs(c.low), abs(c.high)) for c in effect.coefficients}
             seen = [size <= _DETECTABLE_SHARE * limits.get(name, np.inf) for name, size in one.detectable.items()]
-            enough[one.name] = p >= _THERE or (p <= _ABSENT and bool(seen) and all(seen))
+            late = one.candidate.takes_time and not whole
+            enough[one.name] = p >= _THERE or (p <= _ABSENT and bool(seen) and all(seen) and not late)
     return probabilities, all(enough.values())
 
 
@@ -117,8 +121,9 @@ def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
     All that the whole session determines has to be determined before its U counts; what it does not allow is refused.
     """
     wanted = determined(chosen)
-    for part in parts(chosen.sessions[0]):
-        yield reached(chosen.instead(0, part), until, wanted)
+    for part in parts(session := chosen.sessions[0]):
+        whole = len(part.readings) == len(session.readings)
+        yield reached(chosen.instead(0, part), until, wanted, whole=whole)
 
 
 def parts(session: Session) -> Iterator[Session]:

@@ -59,8 +59,10 @@ def command(
 def known_after(chosen: FitRequest, wanted: Until, stages: Sequence[Reached], measurement: Path) -> Iterator[Part]:
     """What was known after each setup; where that was not enough, what would tell more."""
     from machine_tool_calibration.budget import complete
+    from machine_tool_calibration.coverage import K
     from machine_tool_calibration.planning.outlook import outlooks
     from machine_tool_calibration.reports.planning import outlook_table, reached_parts
+    from machine_tool_calibration.reports.quantities import expanded_text
     from machine_tool_calibration.words import say
 
     yield from reached_parts(stages)
@@ -70,5 +72,8 @@ def known_after(chosen: FitRequest, wanted: Until, stages: Sequence[Reached], me
         yield say("enough.diagnose", measurement=str(measurement))
         return
     with progress_bar() as progress:
-        further = outlooks(chosen, complete.identify(chosen), progress)
-    yield outlook_table(further[: 1 + _MOST_FURTHER])
+        now, *further = outlooks(chosen, complete.identify(chosen), progress)
+    yield outlook_table([now, *further[:_MOST_FURTHER]])
+    largest = min((one.largest for one in further), default=now.largest)
+    if not K * largest <= wanted.u:
+        yield say("enough.none_comes", u=expanded_text(wanted.u))

@@ -190,7 +190,7 @@ structure lies in the span of an effect, and is that effect."""
 UNRELATED = 0.5
 """Probability that two effects are in together, over that if they were unrelated, below which they exchange it."""
 
-AS_LIKELY = 0.5
+AS_LIKELY = 0.7
 """Share of the likeliest look-alike's probability from which a commoner one, which the catalogue has before it, stands
 for both: readings that do not distinguish them give them probabilities that differ by their priors' widths alone."""
 

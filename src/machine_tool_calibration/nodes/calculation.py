@@ -35,9 +35,9 @@ from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.progress import Progress
 from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-from machine_tool_calibration.reports.improvement import improvement_document
+from machine_tool_calibration.reports.improvement import improvement_document, improvement_words
 from machine_tool_calibration.reports.quantities import micrometres, sizes_in_words
-from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.session.collect import Reading, live_session
 
 MOST_ARROWS = 2000
@@ -292,22 +292,21 @@ def improved(request: Request, progress: Progress) -> Outcome:
     first, last = steps.steps[0], steps.steps[-1]
     assert isinstance(last.result, Result), "one session"
     effects = tuple(last.result.effects)
-    before, after = first.result.rms_residual, last.result.rms_residual
     values = {
         "verdict": content["verdict"],
         "accepted": " ".join(steps.accepted),
         "effects": " ".join(effects),
         "set_aside": " ".join(str(row) for row in last.set_aside[0]),
-        "rms_before": before,
-        "rms_after": after,
+        "rms_before": first.result.rms_residual,
+        "rms_after": last.result.rms_residual,
         "reduced_chi_square_before": first.reduced_chi_square,
         "reduced_chi_square_after": last.reduced_chi_square,
     }
-    residual = f"{micrometres(before)} -> {micrometres(after)} µm RMS residual"
     messages |= {**_map(request, last.result), "improvement/result": _text(improvement_document(steps))}
-    found = f"improved by {', '.join(steps.accepted)}" if steps.accepted else "nothing was found to add"
-    words = f"{found}: {residual}"
-    return Outcome(words, values, messages, effects=effects)
+    words = [improvement_words(steps)]
+    if steps.diagnosis.verdict == "unexplained":
+        words.append(next_step(steps.diagnosis, then.advice))
+    return Outcome(" ".join(words), values, messages, effects=effects)
 
 
 def _map(request: Request, result: Result) -> dict[str, Any]:
@@ -317,7 +316,7 @@ def _map(request: Request, result: Result) -> dict[str, Any]:
 
 def _diagnosis(request: Request, found: Diagnosis, then: Conclusions) -> tuple[str, Mapping[str, Any], dict[str, Any]]:
     """The verdict in sentences, the document's content, and the messages."""
-    words = " ".join(verdict_words(found, then.changes, then.advice))
+    words = " ".join((*verdict_words(found, then.changes, then.advice), next_step(found, then.advice)))
     content = diagnosis_document(found, then.advice, then.changes)
     verdict = verdict_message(request.now(), found, content, words)
     return words, content, {"diagnosis": verdict, "diagnosis/result": _text(content)}

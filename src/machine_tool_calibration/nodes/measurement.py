@@ -151,12 +151,13 @@ def measure(file: Path, setting: Setting, progress: Counting = lambda text, done
         if setting.parameters is None:  # which may name files of the user's own effects
             find_effects(setting.effects)
     output, total = setting.output, len(plan(procedure).steps)
-    nodes, begin = _nodes(setting, file, procedure), time.monotonic()
+    nodes, begin = _nodes(setting, procedure), time.monotonic()
     with claimed_domain(setting.domain, setting.namespace) as domain:
         graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
         listeners = _Listeners(graph, output)
         with Client(domain, graph.namespace, watch=listeners.watch) as client:
             _refuse_company(client, list(nodes), domain)
+            _write_inputs(setting, file, procedure)
             progress("starting the nodes", 0, total)
             with graph, _keeping(client, listeners, output, total):
                 _await_ready(client, list(nodes))
@@ -214,12 +215,21 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     return {"seed": site.seed, "noise": noise, **document}
 
 
-def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes to be started; what they read is put into the output's folder."""
+def _inputs(output: Path) -> tuple[Path, Path]:
+    """Procedure and site as the nodes read them."""
+    return output / "procedure.yaml", output / "site.yaml"
+
+
+def _write_inputs(setting: Setting, file: Path, procedure: Procedure) -> None:
     setting.output.mkdir(parents=True, exist_ok=True)
-    copy, site = setting.output / "procedure.yaml", setting.output / "site.yaml"
+    copy, site = _inputs(setting.output)
     shutil.copyfile(file, copy)
     site.write_text(yaml_text(site_document(procedure, setting.site)), encoding="utf-8")
+
+
+def _nodes(setting: Setting, procedure: Procedure) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes to be started."""
+    copy, site = _inputs(setting.output)
     method, bag = procedure.session.method, (setting.output / "bag").resolve()
     parameters = graph_parameters(
         method, copy.resolve(), site.resolve(), simulated_time=setting.simulated_time, driver=setting.driver, bag=bag
@@ -327,7 +337,7 @@ class Stages:
         progress("is it enough?", captured, total)
         text, readings = self._client.heard.session()
         chosen = FitRequest((live_session(text, readings, check=False),), None, self._model, self._effects, self._own)
-        found = reached(chosen, self._until, self._wanted)
+        found = reached(chosen, self._until, self._wanted, whole=captured == total)
         self.reached.append(found)
         entries: dict[str, object] = {
             "setup": found.setup,

@@ -12,7 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -23,6 +23,7 @@ from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import bound, quickest, search
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.progress import Progress, untold
+from machine_tool_calibration.session.checks import check_session
 
 _SEARCH = 0.7  # share of the work that the search takes
 # Share of the uncertainty wanted that a plan is to come to: what does not reproduce between setups is looked for in
@@ -158,8 +159,18 @@ def quickest_plan(
         found = quickest(offered, candidates, _SIZE, progress)
         # how often each is repeated is decided while it is measured, unless time is short
         repeats = (found.repeats,) if offered.choices.seconds else (found.repeats, *offered.choices.repeats)
-        return offered.text(replace(found, repeats=max(repeats)))
+        # An effect may be told from stations and targets in one plane, which no identification takes.
+        chosen = found if _can_be_identified(offered.procedure_of(found)) else offered.present
+        return offered.text(replace(chosen, repeats=max(repeats)))
     return offered.text(quickest(offered, candidates, _MARGIN * u, progress, kept_up_to=u / _MARGIN))
+
+
+def _can_be_identified(procedure: Procedure) -> bool:
+    try:
+        check_session(planned_session(procedure).session)
+    except SessionError:
+        return False
+    return True
 
 
 def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:

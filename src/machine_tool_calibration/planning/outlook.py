@@ -44,6 +44,12 @@ class Outlook:
         size = map_rms(self.uncertainty)
         return float("nan") if size is None else size
 
+    @property
+    def largest(self) -> float:
+        """Largest standard uncertainty of one of its coordinates, m; NaN where none is determined."""
+        known = self.uncertainty[np.isfinite(self.uncertainty)]
+        return float(known.max()) if len(known) else float("nan")
+
 
 def outlook_of(found: Forecast, words: str) -> Outlook:
     """That of a procedure that is run by itself, from its forecast."""

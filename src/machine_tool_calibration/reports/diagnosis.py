@@ -277,7 +277,7 @@ def diagnosis_parts(found: Diagnosis, then: Conclusions, *, details: bool = Fals
     """The verdict, the effects and the next step; with details all words, all tables and all effects."""
     if details:
         report = diagnosis_report(found, then.advice, then.changes, shown=0)
-        yield from (*report.words, *report.forecast)
+        yield from (*report.words, *report.forecast, next_step(found, then.advice))
         yield from (*report.tables, *report.details)
         return
     yield from verdict_words(found, then.changes, then.advice, brief=True)

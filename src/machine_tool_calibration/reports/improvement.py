@@ -59,14 +59,15 @@ def step_document(step: Step) -> dict[str, Any]:
 
 def improvement_parts(done: Improvement) -> Iterator[Part]:
     """In words first, then a row for every step."""
-    yield _words(done)
+    yield improvement_words(done)
     last = done.steps[-1].result
     yield from effect_words(last.joint, last.effects)
     yield from suspicion_words(done.diagnosis.suspicious)
     yield steps_table(done)
 
 
-def _words(done: Improvement) -> str:
+def improvement_words(done: Improvement) -> str:
+    """What was found to add, or to set aside, and by how much the residual fell: one sentence or two."""
     found = done.diagnosis
     fell = _what_falls(done)
     if done.accepted:

@@ -164,10 +164,5 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
         time=lambda one: duration(one.seconds) if one.words else "",
         besides=lambda one: one.aside,
         U_map_rms=lambda one: expanded_text(K * one.typical),
-        at_most_coordinate=lambda one: expanded_text(K * _largest(one)),
+        at_most_coordinate=lambda one: expanded_text(K * one.largest),
     )
-
-
-def _largest(one: Outlook) -> float:
-    known = one.uncertainty[np.isfinite(one.uncertainty)]
-    return float(known.max()) if len(known) else float("nan")

@@ -166,6 +166,8 @@ def _with_doubt(name: str, chance: float) -> str:
 
 def only_reversal(diagnosis: Diagnosis) -> bool:
     """Whether nothing is missing but the reversal of axes that were run both ways by ISO 230-2, which reports it."""
+    if diagnosis.left:
+        return False
     axes = {str(run["axis"]).lower() for run in diagnosis.fitted[0].error_map.content.get("iso230_2", ())}
     return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in _OF_REVERSAL for axis in axes}
 
@@ -173,6 +175,7 @@ def only_reversal(diagnosis: Diagnosis) -> bool:
 # What comes at a moment: of a target, of what is on the table, and of anything.
 _OF_TARGET, _ON_TABLE = "shape.shift_of_target_at", "shape.shift_on_table_at"
 _SUDDEN = ("shape.step_at", "shape.shift_at")
+_OF_RUNS = "repeat"
 # Changes of an axis's direction where it went there and back once, from where it may have come from either side.
 _ONE_REVERSAL = 2
 
@@ -221,11 +224,13 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
 
 
 def _mended(diagnosis: Diagnosis) -> Said | None:
-    """What helps where readings are others from a moment on, which is not where an axis is; None where they are not."""
+    """What helps where readings are others from a moment on, which is not where an axis is, or runs grow; else None."""
     structure = next(iter(diagnosis.search.structure), None)
     if structure is None or structure.covariate in ("x", "y", "z") or not isinstance(structure.shape, Said):
         return None
-    shape = structure.shape
+    shape, observed = structure.shape, Pool(diagnosis.search.fit).observations
+    if structure.covariate == _OF_RUNS and not all(one.timed for one in observed):
+        return say("next.runs_grow")
     if shape.key == _OF_TARGET:
         return say("next.moved_target", target=shape.values["target"])  # type: ignore[call-overload]
     if shape.key == _ON_TABLE or (shape.key in _SUDDEN and spec_of(diagnosis.chosen.sessions[0]).probes_surface):

@@ -134,6 +134,9 @@ def _require_reading(columns: Mapping[str, float], description: Description | No
     """
     if lacking := lacking_of(columns):
         raise SessionError(lacking)
+    repeat = columns.get("repeat", 0.0)
+    if not (0 <= repeat < _MOST_READINGS and repeat == int(repeat)):
+        raise SessionError(f"repeat is {repeat:g}")
     for name, key in ((READING_INDEX, ""), *((name, key) for name, (_, key) in INDEX_COLUMNS.items())):
         index, entries = columns.get(name, math.nan), getattr(description, key, None)
         if math.isnan(index):

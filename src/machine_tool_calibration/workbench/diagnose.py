@@ -11,6 +11,7 @@ from bokeh.models import ColumnDataSource, FactorRange
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.goodness import effect_words
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
+from machine_tool_calibration.reports.verdict import next_step
 from machine_tool_calibration.words import say
 from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.models import Model
@@ -110,7 +111,8 @@ class DiagnosePage:
         then = found.conclusions
         report = diagnosis_report(found, then.advice, then.changes)
         self._words.object = f"<b>{look.paragraphs(report.words[:1])}</b>"
-        self._more.object = look.paragraphs((*report.words[1:], *report.forecast))
+        further = [] if found.accepted else [next_step(found, then.advice)]  # what is found is added on this page
+        self._more.object = look.paragraphs((*report.words[1:], *report.forecast, *further))
         self._tables.object = look.tables((*report.tables, *report.details))
         ranked = [finding for finding in found.ranked if finding.rank][:_BARS]
         names = [finding.name for finding in ranked]

@@ -33,6 +33,9 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 # more of them the probabilities of effects change in the third figure, and the search takes twice as long. In a first
 # look, after which all is looked for again, more are, which takes a third of the time.
 _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
+# Sizes of them that are looked at, those that any set makes likeliest: of eight families hundreds count. Families of
+# unknown size, with more of which pairs of effects are not tried for them.
+_MOST_SIZES, _FAMILIES_OF_PAIRS = 64, 3
 # Best sets that are grown, and at first, where members are exchanged only if many are expected; pairs that are although
 # neither leads by itself; members at most, and where the machine itself is read, which holds many errors side by side.
 _GROWN, _GROWN_AT_FIRST, _PAIRS = 6, 2, 4
@@ -262,32 +265,42 @@ def search(
 def _at_probable_sizes(
     gram: Gram, blocks: Sequence[Block], prepared: Sequence[Batch], log_odds: Array, share: float
 ) -> Marginal:
-    """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
+    """Sizes of what does not reproduce that have a share of the evidence, with nothing or some of the best effects.
 
-    The best are those where all reproduces, and those beside what is most probable without any.
+    The best are those where all reproduces, and those beside what is most probable without any. With the first of them
+    each of the others is tried: where two make the runs differ, neither alone makes them alike.
     """
     grid = size_grid(gram, share=share)
     likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
-    alone: set[Point] = set()
-    for ratio in {likeliest, (0.0,) * len(likeliest)}:
-        found = table(prepared, marginal_at(gram, [ratio], [log_prior]), len(log_odds))
-        ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
-        alone |= {found.best[k] for k in ranked}
+    alone, pairs = dict[Point, None](), dict[tuple[Point, ...], None]()
+    for ratio in dict.fromkeys((likeliest, (0.0,) * len(likeliest))):
+        beside = table(prepared, marginal_at(gram, [ratio], [log_prior]), len(log_odds))
+        ranked = sorted(beside.best, key=lambda k: -float(beside.log_evidence[k] + log_odds[k]))[:_GROWN]
+        alone |= dict.fromkeys(beside.best[k] for k in ranked)
+        pairs |= dict.fromkeys((beside.best[ranked[0]], beside.best[k]) for k in ranked[1:])
+    families = len(likeliest) - len(gram.sizes)
+    tried = [(point,) for point in alone] + (list(pairs) if families <= _FAMILIES_OF_PAIRS else [])
     # The columns of these and of the spread alone.
     used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
     few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used])
-    at, prior, first = cache(lambda *known: marginal_at(few, *known)), {ratio: log for ratio, log, _ in grid}, 0
-    for point in alone:
-        scale = blocks[point.block].unit * point.scale
-        own = np.arange(first, first + len(scale))
-        first += len(scale)
+    at, prior = cache(lambda *known: marginal_at(few, *known)), {ratio: log for ratio, log, _ in grid}
+    top = max(evidence for _, _, evidence in grid)
+    likely = {ratio: evidence - top for ratio, _, evidence in grid}
+    ends = np.cumsum([0, *(len(blocks[point.block].unit) for point in alone)])
+    place = {point: np.arange(*ends[k : k + 2]) for k, point in enumerate(alone)}
+    for some in tried:
+        scale = np.concatenate([blocks[point.block].unit * point.scale for point in some])
+        own = np.concatenate([place[point] for point in some])
 
         def log_evidence(ratio: tuple[float, ...], log: float, own: IntArray = own, scale: Array = scale) -> float:
             return at(ratio, log).log_null_with(own, scale)
 
-        prior |= {ratio: log for ratio, log, _ in size_grid(few, log_evidence, share)}
-    ratios, logs = zip(*sorted(prior.items()), strict=True)
-    return marginal_at(gram, ratios, logs)
+        found = size_grid(few, log_evidence, share)
+        top = max(evidence for _, _, evidence in found)
+        prior |= {ratio: log for ratio, log, _ in found}
+        likely |= {ratio: max(evidence - top, likely.get(ratio, -np.inf)) for ratio, _, evidence in found}
+    ratios = sorted(sorted(prior, key=lambda ratio: -likely[ratio])[:_MOST_SIZES])
+    return marginal_at(gram, ratios, [prior[ratio] for ratio in ratios])
 
 
 def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Members) -> list[Members]:

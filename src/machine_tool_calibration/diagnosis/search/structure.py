@@ -48,7 +48,7 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     direction of approach and a position where lost motion is not the same everywhere.
     """
     out, outside = [], _Outside(pool)
-    kinds = (_of_one, _products, _lost_motions, _constants_of_texts, _slopes_of_setups)
+    kinds = (_of_one, _products, _lost_motions, _constants_of_texts, _slopes)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         # Axes that cross in the middle of their travel have no product.
         functions = (f for kind in kinds for f in kind(observations) if len(f[2]))
@@ -180,23 +180,25 @@ def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said,
             yield say("shape.text_column", name=name), say("shape.constants"), own
 
 
-def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    """Parts, meshes and mountings that differ by tilts, scales and squareness, or beams by their wavelength."""
-    setup = observations.readings.setup
-    own = setup == np.unique(setup)[:, None]
-    if not 2 <= len(own) <= _MOST_SETUPS:
-        return
-    if not spec_of(observations.session).reads_machine:
-        path = within(observations.path, setup)
-        if path.any():
-            yield named("column", "setup"), say("shape.path_scales"), own * path
-        return
+def _slopes(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
+    """Parts, meshes, mountings and runs that differ by tilts, scales and squareness, or beams by their wavelength."""
+    setup, run = observations.readings.setup, observations.readings.repeat_of_setup
+    each = {"setup": setup, "repeat": run} if run.max(initial=0) > setup.max(initial=0) else {"setup": setup}
     directions = _read_along(observations)
-    for shape, k in (("slopes", 0), ("bends", 1)):
-        functions = [_smooth(u)[k : k + 1] for u in _positions(observations).values()]
-        columns = [own * f * d for function in functions for f in function for d in directions]
-        if columns:  # none where all was read in one place, or two
-            yield named("column", "setup"), say(f"shape.{shape}"), np.concatenate(columns)
+    for name, group in each.items():
+        own = group == np.unique(group)[:, None]
+        if not 2 <= len(own) <= _MOST_SETUPS:
+            continue
+        if not spec_of(observations.session).reads_machine:
+            path = within(observations.path, setup)
+            if name == "setup" and path.any():
+                yield named("column", name), say("shape.path_scales"), own * path
+            continue
+        for shape, k in (("slopes", 0), ("bends", 1)):
+            functions = [_smooth(u)[k : k + 1] for u in _positions(observations).values()]
+            columns = [own * f * d for function in functions for f in function for d in directions]
+            if columns:  # none where all was read in one place, or two
+                yield named("column", name), say(f"shape.{shape}"), np.concatenate(columns)
 
 
 def _zones(observations: Observations, explained: Explained) -> Iterator[Candidate]:
