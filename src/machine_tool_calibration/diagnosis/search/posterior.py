@@ -34,8 +34,9 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 # look, after which all is looked for again, more are, which takes a third of the time.
 _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
 # Sizes of them that are looked at, those that any set makes likeliest: of eight families hundreds count. Families of
-# unknown size, with more of which pairs of effects are not tried for them.
-_MOST_SIZES, _FAMILIES_OF_PAIRS = 64, 3
+# unknown size, with more of which pairs of effects are not tried for them; and with more of which half of the effects
+# are, as several sessions together have.
+_MOST_SIZES, _FAMILIES_OF_PAIRS, _FAMILIES_OF_ALL = 64, 3, 5
 # Best sets that are grown, and at first, where members are exchanged only if many are expected; pairs that are although
 # neither leads by itself; members at most, and where the machine itself is read, which holds many errors side by side.
 _GROWN, _GROWN_AT_FIRST, _PAIRS = 6, 2, 4
@@ -273,12 +274,13 @@ def _at_probable_sizes(
     grid = size_grid(gram, share=share)
     likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
     alone, pairs = dict[Point, None](), dict[tuple[Point, ...], None]()
+    families = len(likeliest) - len(gram.sizes)
+    most = _GROWN if families <= _FAMILIES_OF_ALL else _GROWN // 2
     for ratio in dict.fromkeys((likeliest, (0.0,) * len(likeliest))):
         beside = table(prepared, marginal_at(gram, [ratio], [log_prior]), len(log_odds))
-        ranked = sorted(beside.best, key=lambda k: -float(beside.log_evidence[k] + log_odds[k]))[:_GROWN]
+        ranked = sorted(beside.best, key=lambda k: -float(beside.log_evidence[k] + log_odds[k]))[:most]
         alone |= dict.fromkeys(beside.best[k] for k in ranked)
         pairs |= dict.fromkeys((beside.best[ranked[0]], beside.best[k]) for k in ranked[1:])
-    families = len(likeliest) - len(gram.sizes)
     tried = [(point,) for point in alone] + (list(pairs) if families <= _FAMILIES_OF_PAIRS else [])
     # The columns of these and of the spread alone.
     used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
