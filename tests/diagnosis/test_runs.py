@@ -14,7 +14,7 @@ from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, only_reversal
 from machine_tool_calibration.session.session import Session
 
-NOISE, RUNS, BACKLASH = 2.5e-7, 5, 1.5e-6
+NOISE, RUNS, BACKLASH, DRIFT = 2.5e-7, 5, 1.5e-6, 1e-9
 
 
 def run_over(seed: int, *, drift: float = 0.0, slopes: float = 0.0, timed: bool = True) -> Session:
@@ -32,11 +32,11 @@ def run_over(seed: int, *, drift: float = 0.0, slopes: float = 0.0, timed: bool 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_backlash_and_a_drift_together(seed: int) -> None:
     """Either alone leaves runs that differ, for which their spread stood; with a wrong size of the backlash."""
-    found = diagnose(run_over(seed, drift=5e-9))
+    found = diagnose(run_over(seed, drift=DRIFT))
     assert set(found.accepted) == {"backlash_x", "linear_drift"} and not found.left
     b, r = (effect_estimates(found.fits[-1], [name])[0] for name in ("backlash_x", "linear_drift"))
     assert abs(b.value - BACKLASH) < 3.0 * b.standard_uncertainty < 3e-7
-    assert abs(r.value - 5e-9) < 3.0 * r.standard_uncertainty < 1.5e-9
+    assert abs(r.value - DRIFT) < 3.0 * r.standard_uncertainty < DRIFT
 
 
 @pytest.mark.parametrize("seed", [1, 2])
