@@ -168,7 +168,7 @@ NODES = np.array([0.0, 0.1, 0.15, 0.3, 0.4])
 def test_a_parabola_is_missed_by_what_is_stated() -> None:
     table = MachineTable(Chain.parse("w-Y-X-b-Z-t"), "EZX", NODES)
     points = np.column_stack([np.linspace(0.0, 0.4, 9), np.zeros((9, 2))])
-    found = between_nodes([table], 5e-5 * NODES**2, 1e-30 * np.eye(5), points)
+    (found,) = between_nodes([table], 5e-5 * NODES**2, 1e-30 * np.eye(5), points)
     missed = np.interp(points[:, 0], NODES, 5e-5 * NODES**2) - 5e-5 * points[:, 0] ** 2
     np.testing.assert_allclose(found[:, :, 2].sum(axis=0), missed, rtol=1e-6, atol=1e-15)
     assert not found[:, :, :2].any()
@@ -180,8 +180,10 @@ def test_values_that_are_not_determined_do_not_bend() -> None:
     points = np.column_stack([np.linspace(0.0, 0.4, 9), np.zeros((9, 2))])
     value, known = 3e-5 * NODES + 1e-4, np.array([True, True, True, True, False])
     value[-1] = 0.0
-    assert not between_nodes([table], value, 1e-30 * np.eye(5), points, known).max(initial=0.0) > 1e-10
-    assert between_nodes([table], value, 1e-30 * np.eye(5), points).max() > 1e-6
+    (found,) = between_nodes([table], value, 1e-30 * np.eye(5), points, known)
+    assert not found.max(initial=0.0) > 1e-10
+    (found,) = between_nodes([table], value, 1e-30 * np.eye(5), points)
+    assert found.max() > 1e-6
 
 
 def test_noise_does_not_bend() -> None:

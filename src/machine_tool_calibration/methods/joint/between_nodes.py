@@ -6,7 +6,7 @@ a table of many places has nodes at some of them: such readings see the curve, a
 Nothing is known of a curve between two nodes but that all bend alike, by as much as the readings say.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +16,8 @@ from machine_tool_calibration.machine.error_motions import off_a_line, parse_mot
 from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.model import MethodModel
 
-# Values of a table from which it can bend, and curves that are looked at, those that do most.
-_BENDS, _MOST_CURVES = 3, 300
+# Values of a table from which it can bend; curves that are looked at, those that do most, and numbers in all of them.
+_BENDS, _MOST_CURVES, _NUMBERS = 3, 300, 2_000_000
 # Share of the square of a table's usual step below which a line is no way off: at a node but for rounding.
 _AT_A_NODE = 1e-3
 
@@ -28,13 +28,13 @@ def between_nodes(
     covariance: Array,
     points: Array,
     known: BoolArray | None = None,
-) -> Array:
-    """(k, n, 3) displacement of points (n, 3) by what each straight line between two nodes is off, m (k = 1).
+) -> Iterator[Array]:
+    """(k, n, 3) displacement of points (n, 3) by what each straight line of a table is off, m (k = 1), by table.
 
     From the values (K,) of the tables and their covariance. Beyond its nodes there is no line. Only values that are
     `known` (K,) show a bend, and only between two that stand next to each other is there a line.
     """
-    out, first = [np.zeros((0, len(points), 3))], 0
+    first = 0
     for table in tables:
         mine = slice(first, first + len(table.labels))
         first = mine.stop
@@ -48,8 +48,7 @@ def between_nodes(
         bend = squared_bend(table.nodes[good], theta[mine][good], covariance[mine, mine][np.ix_(good, good)])
         lever = np.where(good[right - 1] & good[right], lever, 0.0)
         intervals = np.unique(right[lever > 0.0])
-        out.append(((right == intervals[:, None]) * lever * np.sqrt(bend))[:, :, None] * moved)
-    return np.concatenate(out)
+        yield ((right == intervals[:, None]) * lever * np.sqrt(bend))[:, :, None] * moved
 
 
 def curves_seen(model: MethodModel) -> Array | None:
@@ -58,16 +57,18 @@ def curves_seen(model: MethodModel) -> Array | None:
     One for each interval of a table, with a second derivative that is the same for all, in m or rad over m^2; together
     of size 1 for the readings that see them by root mean square. None where all were taken at nodes.
     """
-    seen, found = model.observations, [np.zeros((0, len(model.observations)))]
+    seen = model.observations
+    columns, most = np.zeros((0, len(seen))), min(_MOST_CURVES, _NUMBERS // max(len(seen), 1))
     for table in getattr(model, "tables", ()):
         if table.is_squareness or len(table.nodes) < _BENDS:
             continue
         right, lever = off_a_line(table.nodes, seen.position[:, "XYZ".index(parse_motion(table.name).axis)])
-        if not _all_at_nodes(table, lever):
-            intervals = np.unique(right[lever > 0.0])
-            found.append((right == intervals[:, None]) * lever * table.scalar(seen.position, seen.direction))
-    columns = np.concatenate(found)
-    columns = columns[np.argsort(-np.einsum("kn,kn->k", columns, columns), kind="stable")[:_MOST_CURVES]]
+        if _all_at_nodes(table, lever):
+            continue
+        intervals = np.unique(right[lever > 0.0])
+        own = (right == intervals[:, None]) * (lever * table.scalar(seen.position, seen.direction))
+        columns = np.concatenate([columns, own])
+        columns = columns[np.argsort(-np.einsum("kn,kn->k", columns, columns), kind="stable")[:most]]
     size = np.sqrt(np.einsum("kn,kn->n", columns, columns))
     return columns / rms(size[size > 0.0]) if size.any() else None
 

@@ -68,9 +68,9 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     error, covariance = rigid_body.position_errors(field, theta, own)
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
-        lines = between_nodes(common.tables, theta, own, points, solution.determined[index])
-        lines = without_open(lines)
-        covariance += np.einsum("kni,knj->nij", lines, lines)
+        for lines in between_nodes(common.tables, theta, own, points, solution.determined[index]):
+            off = without_open(lines)
+            covariance += np.einsum("kni,knj->nij", off, off)
     moved = np.linalg.norm(np.einsum("kni,kq->niq", field, silent), axis=2)
     error, uncertainty, covariance = rigid_body.determined_part(
         error, covariance, (moved > rigid_body.OPEN_CHANGE) | beyond
