@@ -103,7 +103,6 @@ class MarginalFit:
     squares: float  # weighted sum of squared residuals that is left beside what does not reproduce
     # (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`
     ratios: Array
-    families: tuple[str, ...]  # (u,) name of the family of each
     by_memory: Array | None = None  # what of the covariance is by the noise's memory; None where it was not looked at
 
     @property
@@ -123,12 +122,6 @@ class MarginalFit:
         """(k,) places of the coefficients of a session's functions in the solution."""
         first = len(self.solution.theta) - sum(map(len, self.functions)) + sum(map(len, self.functions[:index]))
         return np.arange(first, first + len(self.functions[index]))
-
-    def expected(self, index: int, family: str) -> Array:
-        """(k, n) what functions of a family do to a session's readings, each of the size that is published, m."""
-        first, functions = sum(map(len, self.functions[:index])), self.functions[index]
-        own = [k for k in range(len(functions)) if self.families[first + k] == family]
-        return np.asarray(self.scatter * self.ratios[[first + k for k in own], None] * functions[own])
 
 
 @single_blas()
@@ -181,8 +174,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
     )
     told = (found.scatter, found.sizes, found.random)
-    of_each = tuple(names[k] for k in place)
-    return MarginalFit(tuple(parts), published, *told, functions, found.squares, found.ratios, of_each, by_memory)
+    return MarginalFit(tuple(parts), published, *told, functions, found.squares, found.ratios, by_memory)
 
 
 def _with_its_own(covariance: Array, known: PriorRows, scatter: float) -> Array:

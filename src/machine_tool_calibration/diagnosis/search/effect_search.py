@@ -308,7 +308,7 @@ def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Se
     Where these sizes are usual: a dead path of metres stands for no drift that is as likely.
     """
     probability = {k: found.of(k, given=accepted) for k in group}
-    size = {k: len(columns.candidates[k].shapes[0].columns) for k in group}
+    size = {k: len(c.shapes[0].columns) + len(c.nonlinear) for k in group for c in [columns.candidates[k]]}
     best = max(group, key=lambda k: probability[k])
     alike = [k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
     kind = {k: columns.candidates[k].kind for k in alike}

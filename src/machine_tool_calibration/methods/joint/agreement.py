@@ -22,10 +22,10 @@ from machine_tool_calibration.arrays import Array, IntArray, inverse_root
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.effects.error_motion import polynomials
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, interpolation, parse_motion
+from machine_tool_calibration.methods.joint.between_nodes import curves_expected
 from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.model.fit import JointFit, screen_joint
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
-from machine_tool_calibration.model.reproducibility import CURVES
 from machine_tool_calibration.words import say, together
 
 _LEVEL = 0.01
@@ -91,7 +91,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     if not candidates:
         return Agreement(0, None, 1.0, (), say("agreement.nothing_shared"))
     factor = max(1.0, spread)
-    scores = _scores(joint, candidates, factor)
+    scores = _scores(joint, candidates, curves_expected(joint, common.tables), factor)
     pending = list(range(len(candidates)))
     found: list[Contradiction] = []
     smallest, count = 1.0, 0
@@ -250,14 +250,13 @@ class _Scores:
         return replace(self, gram=gram, right=right, curves=curves)
 
 
-def _scores(joint: JointFit, candidates: Sequence[_Candidate], factor: float) -> _Scores:
+def _scores(joint: JointFit, candidates: Sequence[_Candidate], curves: Sequence[Array], factor: float) -> _Scores:
     terms: list[list[Term]] = [[] for _ in joint.assembly.models]
     for number, entry in enumerate(candidates):
         names = tuple(Parameter(f"difference {number}.{k}", "1") for k in range(len(entry.columns)))
         terms[entry.session].append(Term(f"difference {number}", names, entry.columns))
-    for index, own in enumerate(terms):
-        curves = joint.marginal.expected(index, CURVES)
-        own.append(Term(_CURVE, tuple(Parameter(f"{_CURVE}{j}", "1") for j in range(len(curves))), curves))
+    for own, seen in zip(terms, curves, strict=True):
+        own.append(Term(_CURVE, tuple(Parameter(f"{_CURVE}{j}", "1") for j in range(len(seen))), seen))
     screened = screen_joint(joint, terms)
     is_curve = np.array([_CURVE in name for name in screened.names], dtype=bool)
     differences = np.flatnonzero(~is_curve)

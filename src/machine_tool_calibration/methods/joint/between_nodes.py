@@ -14,6 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.machine.error_motions import off_a_line, parse_motion
 from machine_tool_calibration.model import rigid_body
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 
 # Values of a table from which it can bend; curves that are looked at, those that do most, and numbers in all of them.
@@ -34,21 +35,28 @@ def between_nodes(
     From the values (K,) of the tables and their covariance. Beyond its nodes there is no line. Only values that are
     `known` (K,) show a bend, and only between two that stand next to each other is there a line.
     """
-    first = 0
-    for table in tables:
-        mine = slice(first, first + len(table.labels))
-        first = mine.stop
-        good = np.ones(len(table.labels), dtype=bool) if known is None else known[mine]
-        if table.is_squareness or good.sum() < _BENDS:
-            continue
-        right, lever = off_a_line(table.nodes, points[:, "XYZ".index(parse_motion(table.name).axis)])
-        if _all_at_nodes(table, lever):
-            continue
-        moved = rigid_body.map_field([replace(table, nodes=table.nodes[:1])], points)[0]
-        bend = squared_bend(table.nodes[good], theta[mine][good], covariance[mine, mine][np.ix_(good, good)])
-        lever = np.where(good[right - 1] & good[right], lever, 0.0)
-        intervals = np.unique(right[lever > 0.0])
-        yield ((right == intervals[:, None]) * lever * np.sqrt(bend))[:, :, None] * moved
+    for table, size, good in _bends(tables, theta, covariance, known):
+        off = size * _off_each_line(table, points, good)
+        if off.any():
+            yield off[:, :, None] * rigid_body.map_field([replace(table, nodes=table.nodes[:1])], points)[0]
+
+
+def curves_expected(joint: JointFit, tables: Sequence[rigid_body.MachineTable]) -> list[Array]:
+    """For each session (k, n) what such curves do to its readings, each of the size that its table bends by, m."""
+    place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
+    index = np.array([place[label] for table in tables for label in table.labels], dtype=np.int64)
+    solution, out = joint.solution, list[Array]()
+    own = solution.covariance[np.ix_(index, index)]
+    bends = list(_bends(tables, solution.theta[index], own, solution.determined[index]))
+    for model in joint.assembly.models:
+        seen, acting = model.observations, {table.name: table for table in getattr(model, "tables", ())}
+        found = [np.zeros((0, len(seen)))]
+        for table, size, good in bends if seen.curves is not None else ():
+            if table.name in acting:
+                along = acting[table.name].scalar(seen.position, seen.direction)
+                found.append(size * _off_each_line(table, seen.position, good) * along)
+        out.append(np.concatenate(found))
+    return out
 
 
 def curves_seen(model: MethodModel) -> Array | None:
@@ -60,15 +68,10 @@ def curves_seen(model: MethodModel) -> Array | None:
     seen = model.observations
     columns, most = np.zeros((0, len(seen))), min(_MOST_CURVES, _NUMBERS // max(len(seen), 1))
     for table in getattr(model, "tables", ()):
-        if table.is_squareness or len(table.nodes) < _BENDS:
-            continue
-        right, lever = off_a_line(table.nodes, seen.position[:, "XYZ".index(parse_motion(table.name).axis)])
-        if _all_at_nodes(table, lever):
-            continue
-        intervals = np.unique(right[lever > 0.0])
-        own = (right == intervals[:, None]) * (lever * table.scalar(seen.position, seen.direction))
-        columns = np.concatenate([columns, own])
-        columns = columns[np.argsort(-np.einsum("kn,kn->k", columns, columns), kind="stable")[:most]]
+        if not table.is_squareness and len(table.nodes) >= _BENDS:
+            own = _off_each_line(table, seen.position) * table.scalar(seen.position, seen.direction)
+            columns = np.concatenate([columns, own])
+            columns = columns[np.argsort(-np.einsum("kn,kn->k", columns, columns), kind="stable")[:most]]
     size = np.sqrt(np.einsum("kn,kn->n", columns, columns))
     return columns / rms(size[size > 0.0]) if size.any() else None
 
@@ -86,5 +89,29 @@ def squared_bend(nodes: Array, value: Array, covariance: Array) -> float:
     return max(float(weight @ (found - noise) / weight.sum()), 0.0)
 
 
-def _all_at_nodes(table: rigid_body.MachineTable, lever: Array) -> bool:
-    return bool(lever.max(initial=0.0) <= _AT_A_NODE * float(np.ptp(table.nodes)) ** 2 / len(table.nodes) ** 2)
+def _bends(
+    tables: Sequence[rigid_body.MachineTable], theta: Array, covariance: Array, known: BoolArray | None
+) -> Iterator[tuple[rigid_body.MachineTable, float, BoolArray]]:
+    """Tables that bend, their second derivative by root mean square, and (k,) which of their values are known."""
+    first = 0
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        good = np.ones(len(table.labels), dtype=bool) if known is None else known[mine]
+        if not table.is_squareness and good.sum() >= _BENDS:
+            own = covariance[mine, mine][np.ix_(good, good)]
+            yield table, squared_bend(table.nodes[good], theta[mine][good], own) ** 0.5, good
+
+
+def _off_each_line(table: rigid_body.MachineTable, points: Array, good: BoolArray | None = None) -> Array:
+    """(k, n) what each line between two nodes is off a curve of second derivative 1 at points (n, 3), m^2.
+
+    None where all are at nodes; of lines with an end that is not `good` none either.
+    """
+    nodes = table.nodes
+    right, lever = off_a_line(nodes, points[:, "XYZ".index(parse_motion(table.name).axis)])
+    if good is not None:
+        lever = np.where(good[right - 1] & good[right], lever, 0.0)
+    if lever.max(initial=0.0) <= _AT_A_NODE * float(np.ptp(nodes)) ** 2 / len(nodes) ** 2:
+        return np.zeros((0, len(points)))
+    return np.asarray((right == np.unique(right[lever > 0.0])[:, None]) * lever)
