@@ -59,11 +59,25 @@ def approached(session: Session) -> Session:
 def test_a_spike_of_a_sensor(sound: Session, column: str, value: float) -> None:
     sensed = sound.readings.columns[column].copy()
     sensed[7] = value
-    spiked = sound.with_readings(replace(sound.readings, columns={**sound.readings.columns, column: sensed}))
+    columns = {**sound.readings.columns, column: sensed}
+    spiked = sound.with_readings(replace(sound.readings, columns=columns))
     (says,) = suspicions([spiked])
-    assert f"{column} is {value:g} in row {sound.readings.row[7]}" in says and not suspicions([sound])
+    assert f"{column} is {value:g} in row {sound.readings.row[7]}" in says and "stands for it" in says
+    assert not suspicions([sound])
+    seen = build_model(spiked)[0].observations.readings.columns[column]
+    assert abs(seen[7] - 0.5 * (sensed[6] + sensed[8])) <= abs(sensed[6] - sensed[8])
+    del columns["time"]
+    (says,) = suspicions([sound.with_readings(replace(sound.readings, columns=columns))])
+    assert "leave the field empty" in says
     sensed[7:] = value  # it stays there
     assert not suspicions([spiked])
+
+
+def test_a_sensor_that_stands_still(sound: Session) -> None:
+    columns = {**sound.readings.columns, "temperature_x": np.full(len(sound.readings), 20.0)}
+    columns["temperature_air"] = 20.0 + sound.readings.columns["time"] / sound.readings.columns["time"].max()
+    (says,) = suspicions([sound.with_readings(replace(sound.readings, columns=columns))])
+    assert says.startswith("temperature_x is 20 in all 22 rows")
 
 
 @pytest.mark.parametrize(("gone", "key"), [([3, 11], "those before and after"), ([8, 9, 10], "it is not used")])

@@ -47,11 +47,13 @@ def read_tolerances(path: Path) -> dict[str, float]:
 def tolerance(name: str, value: float | str, source: str = "") -> float:
     """A tolerance in m or rad, from a number of these or a text with its unit; `source` begins a message.
 
-    A SessionError: a text without a unit, or of another dimension; a ModelError: neither a number nor a text.
+    A SessionError: a text without a unit, or of another dimension; a ModelError: neither a number nor a text, or it is
+    not positive.
     """
     if isinstance(value, bool) or not isinstance(value, str | float | int):
         raise ModelError(f"{source}the tolerance of {name} must be a number or a text with its unit")
-    if not isinstance(value, str):
-        return float(value)
     wanted = "angle" if unit_of_figure(name) == "rad" else "length"
-    return quantity(value, wanted, f"{source}tolerance of {name}")
+    found = quantity(value, wanted, f"{source}tolerance of {name}") if isinstance(value, str) else float(value)
+    if not found > 0.0:
+        raise ModelError(f"{source}the tolerance of {name} must be positive, not {found:g}")
+    return found

@@ -81,7 +81,7 @@ def _enter(book: Path, folders: tuple[Path, ...], wanted: Wanted, **cluster: Any
     entered, withdrawn = set[str](), set[str]()
     if book.exists():
         entered = {one.sha256 for one in logbook.entries()}
-        withdrawn = {one.sha256 for one, _ in logbook.withdrawn()}  # they are not entered as they were
+        withdrawn = {one.sha256 for one in logbook.withdrawn()}  # they are not entered as they were
     known = frozenset(entered & set(logbook.diagnoses()) | withdrawn)
     found = places(folders)
     new = [place for place in found if not (known and is_known(place, known))]

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal logbook`: every session that was measured on a machine, with its result, in one file."""
 
+from __future__ import annotations
+
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,6 +13,9 @@ from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.words import say
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.trends.logbook import Withdrawn
 
 machine_option = click.option("--machine", help="The machine, where a logbook has several.")
 
@@ -31,9 +38,9 @@ def command() -> None:
 @command.command("add")
 @click.argument("book", type=shared.FILE)
 @click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=shared.PATH)
-@click.option("--machine", help="Name of the machine, unless `about` in session.yaml says it.")
-@click.option("--date", help="When it was measured (ISO 8601), unless `about` says it.")
-@click.option("--instrument", help="Which instrument read, unless `about` says it, such as a serial number.")
+@click.option("--machine", help="Name of the machine, where `about` in session.yaml does not say it, or wrongly.")
+@click.option("--date", help="When it was measured (ISO 8601), where `about` does not say it, or wrongly.")
+@click.option("--instrument", help="Which instrument read, such as a serial number, likewise.")
 @model_options
 @shared.json_option
 def add(
@@ -85,13 +92,12 @@ def withdraw(book: Path, number: int, why: str, as_json: bool) -> None:
     if not why.strip():
         raise click.UsageError("--why is empty.")
     gone = Logbook(book).withdraw(number, why)
-    document = {
-        "format": "mtcal-logbook-withdrawn/1",
-        "book": str(book),
-        "why": why,
-        **picked(gone, "number", "sha256"),
-    }
-    shared.tell_either(document, [say("logbook.withdrawn", label=gone.label, n=number, why=why)], as_json)
+    document = {"format": "mtcal-logbook-withdrawn/1", "book": str(book), **asdict(gone)}
+    shared.tell_either(document, [_said(gone)], as_json)
+
+
+def _said(gone: Withdrawn) -> str:
+    return say("logbook.withdrawn", label=gone.label, n=gone.number, why=gone.why)
 
 
 @command.command("list")
@@ -108,7 +114,6 @@ def listed(book: Path, machine: str | None, as_json: bool) -> None:
         "format": "mtcal-logbook/1",
         "book": str(book),
         "entries": [one.document() for one in entries],
-        "withdrawn": [one.document() | {"why": why} for one, why in withdrawn],
+        "withdrawn": [asdict(one) for one in withdrawn],
     }
-    gone = [say("logbook.withdrawn", label=one.label, n=one.number, why=why) for one, why in withdrawn]
-    shared.tell_either(document, [entries_table(entries), *gone], as_json)
+    shared.tell_either(document, [entries_table(entries), *map(_said, withdrawn)], as_json)

@@ -103,7 +103,7 @@ class Effect(ABC):
                     return f"the chain has no axis {axis}"
                 return unrecorded(name)
             if not np.isfinite(values).all():
-                return f"the column {name} has missing values"
+                return with_gaps(name)
         if self.moves and stands_still(observations, self.moves.lower()):
             return f"{self.moves} did not move"
         return None
@@ -138,6 +138,11 @@ class Effect(ABC):
 def unrecorded(column: str) -> str:
     """Why an effect that needs a column is not looked for in a session without it."""
     return f"the column {column} was not recorded"
+
+
+def with_gaps(column: str) -> str:
+    """Why it is not looked for in one whose sensor missed too much."""
+    return f"the column {column} has missing values"
 
 
 class AxisEffect(Effect):

@@ -40,6 +40,7 @@ from machine_tool_calibration.session.values import Finite
 _MOST_CHARACTERS = 1000
 _CHARACTERS_SHOWN = 80  # characters of a formula in a message
 _LARGEST_NUMBER = 1e308  # below infinity
+_LARGEST_VALUE = 1e100  # of which the square is a number, too
 _MOST_DEPTH = 250  # operations inside one another; working them out takes as many frames
 
 _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
@@ -92,7 +93,8 @@ class Expression:
         if not self.names <= set(units):
             return None
         quantity = registry().Quantity
-        one = {n: quantity(1.0, "" if units[n] == "1" else units[n]).to_base_units() for n in self.names}
+        unity = np.float64(1.0)  # of which a quotient by zero is no error
+        one = {n: quantity(unity, "" if units[n] == "1" else units[n]).to_base_units() for n in self.names}
         try:
             with np.errstate(all="ignore"):
                 value = _evaluate(self.node, one)
@@ -268,7 +270,8 @@ class FormulaEffect(Effect):
         except ModelError as error:
             raise ModelError(f"{error}{self._without_unit()}") from None
         if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
-            raise ModelError(f"the formula gives {unit_of_value:~P}, and not a length{self._without_unit()}")
+            gives = f"{unit_of_value:~P}" or "a plain number"
+            raise ModelError(f"the formula gives {gives}, and not a length{self._without_unit()}")
 
     def _without_unit(self) -> str:
         """How a constant or coefficient of the formula that states no unit gets one; for the end of a message."""
@@ -323,7 +326,7 @@ class FormulaEffect(Effect):
         names = [c.name for c in self.coefficients]
         each = (self._expression.evaluate(values | {m: float(m == name) for m in names}) for name in names)
         columns = np.array([np.broadcast_to(one, n) for one in each])
-        if not np.isfinite(columns).all():
+        if not (np.abs(columns) < _LARGEST_VALUE).all():
             raise ModelError(f"effect {self.id}: the formula has no finite value for some readings")
         if self._definition.enters == "reading":
             return columns

@@ -6,7 +6,7 @@ by slopes and bows that are no physical effect of the machine. They are random, 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -41,6 +41,8 @@ _ROUNDING = 1e-9
 _MOST_GROUPS, _MOST_FUNCTIONS = 200, 300
 # Sine of an angle, below which a circle has not gone on.
 _TURNS = 1e-6
+# Component of a direction from which it is sensed.
+_SENSED = 1e-6
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
 
@@ -52,7 +54,7 @@ class Family:
     name: str  # run, mounting, pass, centre, or rows of equal x
     group: IntArray  # (n,) index of the group of each reading, from 0
     shapes: Array  # (d, n) values of the group's d functions, of a size of about 1
-    offset: bool = True  # whether the first function is one
+    offsets_of_each: int = 1  # how many of a group's functions, the first, are offsets
 
     @property
     def of_runs(self) -> bool:
@@ -74,7 +76,7 @@ class Family:
     @property
     def offsets(self) -> BoolArray:
         """(count d,) which of the functions are offsets of their group."""
-        return np.tile(np.arange(len(self.shapes)) == (0 if self.offset else -1), self.count)
+        return np.tile(np.arange(len(self.shapes)) < self.offsets_of_each, self.count)
 
 
 def offsets_apart(family: IntArray, offset: BoolArray, seen: BoolArray) -> tuple[IntArray, IntArray]:
@@ -152,7 +154,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
 def _curves(observations: Observations) -> tuple[Family, ...]:
     if observations.curves is None:
         return ()
-    return (Family(CURVES, np.zeros(len(observations), dtype=np.int64), observations.curves, offset=False),)
+    return (Family(CURVES, np.zeros(len(observations), dtype=np.int64), observations.curves, offsets_of_each=0),)
 
 
 def with_drift(observations: Observations) -> tuple[Family, ...]:
@@ -172,7 +174,7 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
         return (*families, *curves)
     weights = np.array(priors.DRIFT)[:, None]
     shapes = np.polynomial.legendre.legvander(scaled, len(weights)).T[1:] * weights
-    return (*families, Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offset=False), *curves)
+    return (*families, Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offsets_of_each=0), *curves)
 
 
 def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:
@@ -242,11 +244,11 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     run = observations.readings.repeat_of_setup
     if len(moved) >= 2:
         if _tell(observations.place, run):
-            yield _family(observations, "run", run)
+            yield _moved_aside(observations, _family(observations, "run", run))
         if spec_of(observations.session).centred:
             way = _ways_round(observations.direction, run)
             if _tell(observations.readings.alike(approach=False), way):
-                yield Family("centre", way, observations.direction[:, moved].T.copy(), offset=False)
+                yield Family("centre", way, observations.direction[:, moved].T.copy(), offsets_of_each=0)
             return
         yield from _rows(observations, moved)
         return
@@ -256,6 +258,19 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     for name, group in (("run", run), ("pass", ways)):
         if group.max(initial=0) > 1 and _tell(observations.place, group) and (name == "run" or (group != run).any()):
             yield _family(observations, name, group)
+
+
+def _moved_aside(observations: Observations, family: Family) -> Family:
+    """The same along each direction that a run senses: a plate that slips or warms moves along x and along y."""
+    if spec_of(observations.session).centred:
+        return family
+    along = np.array([d for d in observations.direction.T if np.abs(d).max(initial=0.0) > _SENSED])
+    sensed = np.zeros((int(family.group.max(initial=0)) + 1, len(along)))
+    np.maximum.at(sensed, family.group, np.abs(along.T))
+    if (np.sum(sensed > _SENSED, axis=1) < 2).all():
+        return family
+    shapes = (family.shapes[:, None] * along).reshape(-1, len(observations))
+    return replace(family, shapes=shapes, offsets_of_each=len(along) * family.offsets_of_each)
 
 
 def _setups(observations: Observations) -> Iterator[Family]:
@@ -281,7 +296,7 @@ def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
         row = groups(np.round(observations.position[:, j] / SAME_POSITION))
         count = np.bincount(row)
         if priors.SEVERAL_RUNS <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
-            yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy(), offset=False)
+            yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy(), offsets_of_each=0)
 
 
 def _ways_round(direction: Array, run: IntArray) -> IntArray:

@@ -10,7 +10,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
-from machine_tool_calibration.effects.effect import unrecorded
+from machine_tool_calibration.effects.effect import unrecorded, with_gaps
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
@@ -330,7 +330,9 @@ def _unrecorded(diagnosis: Diagnosis) -> Iterator[Said]:
     """That what goes with a temperature that was not recorded may look like what goes with the time."""
     found = [name for name in diagnosis.accepted if diagnosis.search.of(name).candidate.takes_time]
     needs = [(diagnosis.excluded.get(effect.id), name) for effect in diagnosis.chosen.absent for name in effect.needs]
-    lacking = {name for why, name in needs if why == unrecorded(name) and name.startswith("temperature_")}
+    temperatures = [(why, name) for why, name in needs if name.startswith("temperature_")]
+    lacking = {name for why, name in temperatures if why == unrecorded(name)}
+    lacking |= {say("diagnosis.with_gaps", column=name) for why, name in temperatures if why == with_gaps(name)}
     if found and lacking:
         names, columns = together(found, say("text.and")), together(sorted(lacking), ", ")
         yield say("diagnosis.unrecorded", names=names, columns=columns, n=len(lacking))

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaps in what sensors recorded: a logger that missed some values says nearly as much as one that missed none."""
+"""Gaps and spikes in what sensors recorded: a logger that missed some values says nearly as much as one with all."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS, Session
 
+# By how much a value that was sensed is off those before and after it, where no air and no machine changes and comes
+# back: °C, Pa and a share. A sensor of 85 °C has just been switched on. And the share of values up to which such are
+# single ones.
+_SPIKE, _FEW = {"temperature_": 5.0, "air_pressure": 3000.0, "relative_humidity": 0.4}, 0.05
 # Share of a column's values that must be there, and of the session's time that a gap lasts at most.
 _THERE, _LONGEST = 0.8, 0.1
 
@@ -16,13 +20,30 @@ _THERE, _LONGEST = 0.8, 0.1
 def filled(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Those columns of the environment that have short gaps, (n,) each, with values between those before and after.
 
-    None where the time of a reading is not known, or a gap is longer than one can see across.
+    Spikes are gaps. None where the time of a reading is not known, or a gap is longer than one can see across.
     """
     time = columns.get("time")
     if time is None or not np.isfinite(time).all():
         return {}
-    sensed = [name for name in ENVIRONMENT_COLUMNS if name in columns and not np.isfinite(columns[name]).all()]
-    return {name: course for name in sensed if (course := _across_gaps(time, columns[name])) is not None}
+    out = dict[str, Array]()
+    for name in (name for name in ENVIRONMENT_COLUMNS if name in columns):
+        sensed = columns[name].copy()
+        sensed[spikes(columns, name)] = np.nan
+        course = None if np.isfinite(sensed).all() else _across_gaps(time, sensed)
+        out |= {} if course is None else {name: course}
+    return out
+
+
+def spikes(columns: Mapping[str, Array], name: str) -> IntArray:
+    """(k,) readings with single values of a sensor that are far off those sensed before and after."""
+    sensed, time = columns[name], columns.get("time")
+    order = np.arange(len(sensed)) if time is None else np.argsort(time, kind="stable")
+    most = next((size for begin, size in _SPIKE.items() if name.startswith(begin)), np.inf)
+    known = order[np.isfinite(sensed[order])]
+    step = np.diff(sensed[known])
+    there, back = step[:-1], step[1:]
+    found = known[1:-1][(there * back < 0.0) & (np.minimum(np.abs(there), np.abs(back)) > most)]
+    return np.asarray(found if len(found) <= _FEW * len(known) else found[:0])
 
 
 def without_gaps(session: Session) -> Session:

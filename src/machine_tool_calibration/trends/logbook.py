@@ -111,6 +111,16 @@ class Entry:
         return told | {key: self.result.get(key) for key in ("method", "model", "effects")}
 
 
+@dataclass(frozen=True)
+class Withdrawn:
+    """An entry that counts no more."""
+
+    number: int
+    label: str  # name of the session's folder
+    sha256: str  # of its data
+    why: str
+
+
 def entry_of(
     session: Session,
     label: str,
@@ -127,7 +137,7 @@ def entry_of(
     nothing says which machine it was, or when, or it would be measured tomorrow.
     """
     about, origin = session.description.about, result["provenance"]
-    name = machine or name_of_machine(about)
+    name = (machine or name_of_machine(about)).strip()
     if not name:
         raise CalibrationError(f"{label}: nothing says which machine it is: `about: {{machine: …}}`, or --machine")
     told = date or about.get("date") or about.get("time")
@@ -213,24 +223,23 @@ class Logbook:
             done = database.execute(f"INSERT INTO entries ({names}) VALUES ({places})", [*values.values()])
         return replace(entry, number=int(done.lastrowid or 0)), True
 
-    def withdraw(self, number: int, why: str) -> Entry:
-        """Say why an entry counts no more, and give it; it stays. A CalibrationError: none of that number counts."""
+    def withdraw(self, number: int, why: str) -> Withdrawn:
+        """Say why an entry counts no more, be it damaged; it stays. A CalibrationError: none of that number counts."""
         with self._open(make=True) as database, database:
             database.executescript(f"BEGIN IMMEDIATE;{_WITHDRAWALS}COMMIT;")
             database.execute("BEGIN IMMEDIATE")
-            found = self._valid(database, "WHERE number = ?", number)
-            if not found:
+            found = self._rows(database, "WHERE number = ?", number)
+            if not found or number in self._withdrawn(database):
                 raise CalibrationError(f"{self.path}: no entry {number}, or it is withdrawn already")
             database.execute("INSERT INTO withdrawals (number, why) VALUES (?, ?)", (number, why))
-        return found[0]
+        return Withdrawn(number, found[0]["label"], found[0]["sha256"], why)
 
-    def withdrawn(self) -> tuple[tuple[Entry, str], ...]:
-        """Entries that count no more, and why; raises as `entries`."""
+    def withdrawn(self) -> tuple[Withdrawn, ...]:
+        """Entries that count no more; raises as `entries`."""
         with self._open() as database:
-            why = self._withdrawn(database)
-            return tuple(
-                (one, why[one.number]) for one in self._select(database, "ORDER BY number") if one.number in why
-            )
+            why, every = self._withdrawn(database), self._rows(database, "ORDER BY number")
+        gone = [row for row in every if row["number"] in why]
+        return tuple(Withdrawn(one["number"], one["label"], one["sha256"], why[one["number"]]) for one in gone)
 
     def add_diagnosis(self, sha256: str, document: Mapping[str, Any]) -> None:
         """Keep a diagnosis, in JSON's types, by its session's SHA-256; the first one stays. Raises as `add`."""
@@ -303,12 +312,19 @@ class Logbook:
 
     def _valid(self, database: sqlite3.Connection, rest: str, *values: str | int) -> list[Entry]:
         gone = self._withdrawn(database)
-        return [one for one in self._select(database, rest, *values) if one.number not in gone]
+        return [self._entry(row) for row in self._rows(database, rest, *values) if row["number"] not in gone]
+
+    def _entry(self, row: Mapping[str, Any]) -> Entry:
+        try:
+            sizes = tuple(Size(**s) for s in json.loads(row["sizes"]))
+            found = Entry(**{**row, "result": json.loads(row["result"]), "sizes": sizes})
+            _ = found.moment, found.result["method"]
+        except (ValueError, TypeError, KeyError):
+            which = f"entry {row['number']} ({row['label']})"
+            raise CalibrationError(f"{self.path}: {which} is damaged: `mtcal logbook withdraw` leaves it out") from None
+        return found
 
     @staticmethod
-    def _select(database: sqlite3.Connection, rest: str, *values: str | int) -> list[Entry]:
-        rows = database.execute(f"SELECT number, {', '.join(_COLUMNS)} FROM entries {rest}", values).fetchall()
-        found = [dict(zip(("number", *_COLUMNS), row, strict=True)) for row in rows]
-        for one in found:
-            one["result"], one["sizes"] = json.loads(one["result"]), tuple(Size(**s) for s in json.loads(one["sizes"]))
-        return [Entry(**one) for one in found]
+    def _rows(database: sqlite3.Connection, rest: str, *values: str | int) -> list[dict[str, Any]]:
+        found = database.execute(f"SELECT number, {', '.join(_COLUMNS)} FROM entries {rest}", values).fetchall()
+        return [dict(zip(("number", *_COLUMNS), row, strict=True)) for row in found]

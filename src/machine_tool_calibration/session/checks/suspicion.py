@@ -8,7 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, groups, occurrence
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.gaps import filled
+from machine_tool_calibration.session.gaps import filled, spikes
 from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, ENVIRONMENT_COLUMNS, Session
 from machine_tool_calibration.words import say, together
 
@@ -20,10 +20,7 @@ _COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by it
 _WRITTEN = 1e-8  # m or rad: positions are written with so many decimals that they differ by less
 _WHOLE = 1e-6  # of a step: rounding
 _BY_CHANCE = 0.01  # probability of equal readings below which they are one reading
-# By how much a value that was sensed is off those before and after it, where no air and no machine changes and comes
-# back: °C, Pa and a share. A sensor of 85 °C has just been switched on.
-_SPIKE = {"temperature_": 5.0, "air_pressure": 3000.0, "relative_humidity": 0.4}
-_FEW = 0.05  # share of a sensor's values up to which such are single ones
+_CHANGES = 0.2  # K by which a temperature changes while another one should, too
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
 
 
@@ -36,7 +33,8 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _copied, read_off, _beside, _recorded_before, _repeated, _approached, _spiked, _missed)
+    sensors = (_spiked, _stands, _missed)
+    checks = (_still, _rounded, _copied, read_off, _beside, _recorded_before, _repeated, _approached, *sensors)
     return [
         together((name, words), "")
         for name, session in pairs
@@ -137,18 +135,21 @@ def _approached(session: Session) -> Iterator[str]:
 
 
 def _spiked(session: Session) -> Iterator[str]:
-    """Single values of a sensor that are far off those sensed before and after."""
-    time = session.readings.columns.get("time")
-    order = np.arange(len(session.readings)) if time is None else np.argsort(time, kind="stable")
-    for name, sensed in session.readings.columns.items():
-        most = next((size for begin, size in _SPIKE.items() if name.startswith(begin)), np.inf)
-        known = order[np.isfinite(sensed[order])]
-        step = np.diff(sensed[known])
-        there, back = step[:-1], step[1:]
-        spike = known[1:-1][(there * back < 0.0) & (np.minimum(np.abs(there), np.abs(back)) > most)]
-        if 0 < len(spike) <= _FEW * len(known):
-            row, value = int(session.readings.row[spike[0]]), f"{sensed[spike[0]]:.5g}"
-            yield say("suspicion.spike", column=name, n=len(spike), row=row, value=value)
+    columns, known = session.readings.columns, filled(session.readings.columns)
+    for name in (name for name in ENVIRONMENT_COLUMNS if name in columns):
+        found = spikes(columns, name)
+        if len(found):
+            row, value = int(session.readings.row[found[0]]), f"{columns[name][found[0]]:.5g}"
+            key = "suspicion.spike" if name in known else "suspicion.spike_used"
+            yield say(key, column=name, n=len(found), row=row, value=value)
+
+
+def _stands(session: Session) -> Iterator[str]:
+    """A sensor that says the same all the time while another one changes."""
+    columns = session.readings.columns
+    ranges = {n: float(np.ptp(v)) for n, v in columns.items() if n.startswith("temperature_") and np.isfinite(v).all()}
+    for name in [name for name, own in ranges.items() if own == 0.0 and max(ranges.values()) > _CHANGES]:
+        yield say("suspicion.stands", column=name, value=f"{columns[name][0]:.5g}", n=len(session.readings))
 
 
 def _missed(session: Session) -> Iterator[str]:
@@ -156,6 +157,6 @@ def _missed(session: Session) -> Iterator[str]:
     columns, read = session.readings.columns, np.isfinite(session.readings.displacement)
     known, count = filled(columns), int(read.sum())
     for name in ENVIRONMENT_COLUMNS:
-        gone = int(np.sum(read & ~np.isfinite(columns[name]))) if name in columns else 0
+        gone = int(np.sum(read & ~np.isfinite(columns[name]))) if name in columns else 0  # spikes are told already
         if 0 < gone < count:
             yield say("suspicion.filled" if name in known else "suspicion.missed", column=name, n=gone, count=count)
