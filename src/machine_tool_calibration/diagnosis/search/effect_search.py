@@ -303,14 +303,14 @@ def _accepted(
 
 
 def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
-    """Of look-alikes the likeliest, or one of as many coefficients, nearly as likely, that the catalogue has first.
+    """Of look-alikes the likeliest, or one of no more coefficients, nearly as likely, that the catalogue has first.
 
     Where these sizes are usual: a dead path of metres stands for no drift that is as likely.
     """
     probability = {k: found.of(k, given=accepted) for k in group}
     size = {k: len(c.shapes[0].columns) + len(c.nonlinear) for k in group for c in [columns.candidates[k]]}
     best = max(group, key=lambda k: probability[k])
-    alike = [k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
+    alike = [k for k in group if size[k] <= size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
     kind = {k: columns.candidates[k].kind for k in alike}
     first = {kind[k]: k for k in sorted(alike, reverse=True)}  # of those that differ by their axis none is commoner
     return min(alike, key=lambda k: (_is_unusual(columns, found, k), first[kind[k]], -probability[k], k))
