@@ -38,6 +38,7 @@ _ALIKE = 0.7
 _TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
 _NO_DEPENDENCE = 1e-6
+# Begins the names of columns that are curves between nodes, and no differences.
 _CURVE = "|curve "
 # Units that people use, a millionth of those of SI.
 _MICRO = {"m": "µm", "rad": "µrad", "1": "µm/m", "1/K": "µm/(m K)", "m/K": "µm/K", "rad/K": "µrad/K"}

@@ -3,7 +3,8 @@
 
 Sessions that are fitted together have the nodes of all that were read place by place. A ball bar reads on the move, and
 a table of many places has nodes at some of them: such readings see the curve, and all other unknowns have to follow.
-Nothing is known of a curve between two nodes but that all bend alike, by as much as the readings say.
+Nothing is known of a curve between two nodes but that all bend alike: in a fit by as much as the readings say; for the
+map, and for whether sessions agree, by as much as the tables do from node to node, as a disagreement is no curve.
 """
 
 from collections.abc import Iterator, Sequence
