@@ -308,12 +308,17 @@ def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Se
     Where these sizes are usual: a dead path of metres stands for no drift that is as likely.
     """
     probability = {k: found.of(k, given=accepted) for k in group}
-    size = {k: len(c.shapes[0].columns) + len(c.nonlinear) for k in group for c in [columns.candidates[k]]}
+    size = {k: _free(columns.candidates[k]) for k in group}
     best = max(group, key=lambda k: probability[k])
     alike = [k for k in group if size[k] <= size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
     kind = {k: columns.candidates[k].kind for k in alike}
     first = {kind[k]: k for k in sorted(alike, reverse=True)}  # of those that differ by their axis none is commoner
     return min(alike, key=lambda k: (_is_unusual(columns, found, k), first[kind[k]], -probability[k], k))
+
+
+def _free(candidate: Candidate) -> int:
+    """Number of its coefficients that are fitted, time constants and the like among them."""
+    return len(candidate.shapes[0].columns) + sum(not shape.discrete for shape in candidate.nonlinear)
 
 
 def _is_unusual(columns: Columns, found: Posterior, k: int) -> bool:
