@@ -165,16 +165,19 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
     themselves, a drift is the machine's own.
     """
     families = tuple(family for family in reproducibility(observations) if family.of_runs)
+    return (*families, *_drift(observations, families), *_curves(observations))
+
+
+def _drift(observations: Observations, families: Sequence[Family]) -> tuple[Family, ...]:
     fewest = min((family.count for family in families), default=0)
-    curves = _curves(observations)
     if fewest < 2 * len(priors.DRIFT) or not observations.timed or spec_of(observations.session).reads_machine:
-        return (*families, *curves)
+        return ()
     scaled = scaled_values(observations.clock)
     if scaled is None:
-        return (*families, *curves)
+        return ()
     weights = np.array(priors.DRIFT)[:, None]
     shapes = np.polynomial.legendre.legvander(scaled, len(weights)).T[1:] * weights
-    return (*families, Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offsets_of_each=0), *curves)
+    return (Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offsets_of_each=0),)
 
 
 def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:

@@ -50,25 +50,22 @@ CREATE TRIGGER IF NOT EXISTS no_delete BEFORE DELETE ON entries
 PRAGMA application_id = {_APPLICATION};
 PRAGMA user_version = {_VERSION};
 """
-# Tables of their own, which a logbook has from the first line in them on: other versions read the entries all the same.
-_WITHDRAWALS = """
-CREATE TABLE IF NOT EXISTS withdrawals (
-    number INTEGER PRIMARY KEY, why TEXT NOT NULL, entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
-);
-CREATE TRIGGER IF NOT EXISTS withdrawal_kept BEFORE UPDATE ON withdrawals
-    BEGIN SELECT RAISE(ABORT, 'withdrawals are never changed'); END;
-CREATE TRIGGER IF NOT EXISTS withdrawal_stays BEFORE DELETE ON withdrawals
-    BEGIN SELECT RAISE(ABORT, 'withdrawals are never removed'); END;
+
+
+def _table(name: str, row: str, columns: str) -> str:
+    """A table of its own, of which nothing is changed; other versions of the program read the entries all the same."""
+    return f"""
+CREATE TABLE IF NOT EXISTS {name} ({columns}, entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP);
+CREATE TRIGGER IF NOT EXISTS {row}_kept BEFORE UPDATE ON {name}
+    BEGIN SELECT RAISE(ABORT, '{name} are never changed'); END;
+CREATE TRIGGER IF NOT EXISTS {row}_stays BEFORE DELETE ON {name}
+    BEGIN SELECT RAISE(ABORT, '{name} are never removed'); END;
 """
-_DIAGNOSES = """
-CREATE TABLE IF NOT EXISTS diagnoses (
-    sha256 TEXT PRIMARY KEY, document TEXT NOT NULL, entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
-);
-CREATE TRIGGER IF NOT EXISTS diagnosis_kept BEFORE UPDATE ON diagnoses
-    BEGIN SELECT RAISE(ABORT, 'diagnoses are never changed'); END;
-CREATE TRIGGER IF NOT EXISTS diagnosis_stays BEFORE DELETE ON diagnoses
-    BEGIN SELECT RAISE(ABORT, 'diagnoses are never removed'); END;
-"""
+
+
+# Which a logbook has from the first line in them on.
+_WITHDRAWALS = _table("withdrawals", "withdrawal", "number INTEGER PRIMARY KEY, why TEXT NOT NULL")
+_DIAGNOSES = _table("diagnoses", "diagnosis", "sha256 TEXT PRIMARY KEY, document TEXT NOT NULL")
 # Keys of `instrument` in `about` that say which one it is; others, such as a certificate, may change with time.
 _IDENTITY = ("name", "type", "model", "serial", "serial_number", "id")
 

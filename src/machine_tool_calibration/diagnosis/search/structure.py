@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, means_of, occurrence, within
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, means_of, occurrence, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.events import ENOUGH, SAME_DIRECTION, Explained, events
 from machine_tool_calibration.diagnosis.search.evidence import gram_of
@@ -48,7 +48,7 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     direction of approach and a position where lost motion is not the same everywhere.
     """
     out, outside = [], _Outside(pool)
-    kinds = (_of_one, _products, _lost_motions, _constants_of_texts, _slopes)
+    kinds = (_of_one, _products, _lost_motions, _constants_of_texts, _path_scales, _slopes)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         # Axes that cross in the middle of their travel have no product.
         functions = (f for kind in kinds for f in kind(observations) if len(f[2]))
@@ -180,20 +180,29 @@ def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said,
             yield say("shape.text_column", name=name), say("shape.constants"), own
 
 
+def _each(group: IntArray) -> BoolArray:
+    """(groups, n) which readings are of each group; none where there is one alone, or too many."""
+    own = np.asarray(group == np.unique(group)[:, None])
+    return own if 2 <= len(own) <= _MOST_SETUPS else own[:0]
+
+
+def _path_scales(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
+    """Beams that differ by their wavelength."""
+    setup = observations.readings.setup
+    own, path = _each(setup), within(observations.path, setup)
+    if not spec_of(observations.session).reads_machine and path.any():
+        yield named("column", "setup"), say("shape.path_scales"), own * path
+
+
 def _slopes(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    """Parts, meshes, mountings and runs that differ by tilts, scales and squareness, or beams by their wavelength."""
+    """Parts, meshes, mountings and runs that differ by tilts, scales and squareness."""
+    if not spec_of(observations.session).reads_machine:
+        return
     setup, run = observations.readings.setup, observations.readings.repeat_of_setup
     each = {"setup": setup, "repeat": run} if run.max(initial=0) > setup.max(initial=0) else {"setup": setup}
     directions = _read_along(observations)
     for name, group in each.items():
-        own = group == np.unique(group)[:, None]
-        if not 2 <= len(own) <= _MOST_SETUPS:
-            continue
-        if not spec_of(observations.session).reads_machine:
-            path = within(observations.path, setup)
-            if name == "setup" and path.any():
-                yield named("column", name), say("shape.path_scales"), own * path
-            continue
+        own = _each(group)
         for shape, k in (("slopes", 0), ("bends", 1)):
             functions = [_smooth(u)[k : k + 1] for u in _positions(observations).values()]
             columns = [own * f * d for function in functions for f in function for d in directions]
