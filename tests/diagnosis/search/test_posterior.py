@@ -40,7 +40,7 @@ def searched(
 ) -> Posterior:
     """The posterior of such effects."""
     of_each = given(columns, readings, low)
-    return search(*of_each, side_by_side=side_by_side, pairs_among=range(columns.shape[1]))
+    return search(*of_each, side_by_side=side_by_side, pairs_among=range(columns.shape[1]), special_cases={})
 
 
 def made(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

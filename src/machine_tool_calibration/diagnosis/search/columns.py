@@ -86,11 +86,12 @@ def outside_the_model(pool: Pool, candidates: Sequence[Candidate], structures: S
     return Columns(pool, every, len(candidates), projected, gram, blocks)
 
 
-def exclusive(columns: Columns) -> list[frozenset[int]]:
-    """Pairs of effects of which one contains the other."""
+def special_cases(columns: Columns) -> dict[int, frozenset[int]]:
+    """Numbers of the effects that each contains, of those that contain any."""
     place = columns.place
-    every = enumerate(columns.candidates)
-    return [frozenset((k, place[name])) for k, c in every for name in c.contains if name in place]
+    return {
+        k: frozenset(place[n] for n in c.contains if n in place) for k, c in enumerate(columns.candidates) if c.contains
+    }
 
 
 def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:

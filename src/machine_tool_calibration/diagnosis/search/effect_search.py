@@ -12,7 +12,7 @@ from scipy.special import logit, logsumexp
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
-from machine_tool_calibration.diagnosis.search.columns import Columns, exclusive, outside_the_model
+from machine_tool_calibration.diagnosis.search.columns import Columns, outside_the_model, special_cases
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
     alias_groups,
@@ -230,7 +230,7 @@ def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: 
         logit(prior),
         side_by_side=side_by_side,
         pairs_among=effects,
-        exclusive=exclusive(columns),
+        special_cases=special_cases(columns),
         at_first=at_first,
     )
 

@@ -7,7 +7,7 @@ every other effect over all its nonlinear coefficients and scales, until the bes
 the place of one of their members.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import combinations
@@ -134,13 +134,13 @@ class _Search:
     batches: Sequence[Batch]
     log_odds: Array
     tried: Marginal  # at all sizes that matter
-    exclusive: Sequence[frozenset[int]]
+    special_cases: Mapping[int, frozenset[int]]
     found: dict[frozenset[int], tuple[float, Members]] = field(default_factory=dict)
     grown: dict[frozenset[tuple[int, Point]], Table] = field(default_factory=dict)
 
     def may_stand(self, members: Collection[int]) -> bool:
         """Whether no member of a set is a special case of another."""
-        return not any(pair <= set(members) for pair in self.exclusive)
+        return all(self.special_cases[k].isdisjoint(members) for k in members if k in self.special_cases)
 
     def prior(self, members: Members) -> float:
         """Logarithm of the members' prior odds, with what their other points than these add."""
@@ -225,7 +225,7 @@ def search(
     *,
     side_by_side: bool,
     pairs_among: Sequence[int],
-    exclusive: Sequence[frozenset[int]] = (),
+    special_cases: Mapping[int, frozenset[int]],
     at_first: bool = False,
 ) -> Posterior:
     """The posterior over sets.
@@ -236,12 +236,14 @@ def search(
         log_odds: (candidates,) logarithm of the prior odds of each.
         side_by_side: whether many effects are expected at once: the machine itself is read.
         pairs_among: candidates of which all pairs are tried.
-        exclusive: pairs of candidates of which one is a special case of the other: no set holds both.
+        special_cases: of candidates, by number: no set holds both.
         at_first: whether this is a first look, with fewer sizes of what does not reproduce and fewer sets.
     """
     share, grown = (_COUNTS_AT_FIRST, _GROWN_AT_FIRST) if at_first else (_COUNTS, _GROWN)
     prepared = batches(gram, blocks)
-    work = _Search(blocks, prepared, log_odds, _at_probable_sizes(gram, blocks, prepared, log_odds, share), exclusive)
+    work = _Search(
+        blocks, prepared, log_odds, _at_probable_sizes(gram, blocks, prepared, log_odds, share), special_cases
+    )
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
@@ -314,7 +316,7 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
     tried = work.marginal_with(members)
     columns, scale = scaled_columns(work.blocks, points)
     ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
-    place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
+    place = dict(zip(points, (own.tolist() for own in np.split(np.arange(len(columns)), ends[:-1])), strict=True))
     inner = np.eye(len(columns)) + tried.inner(columns, columns) * np.outer(scale, scale)
     data, squares = tried.data[:, columns] * scale, tried.squares
     left, determinant = np.empty((2, len(pairs), len(squares)))
@@ -322,7 +324,7 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
     for n, (i, j) in enumerate(pairs):
         by_size.setdefault(len(place[i]) + len(place[j]), []).append(n)
     for size, alike in by_size.items():
-        own = np.array([np.append(place[i], place[j]) for i, j in (pairs[n] for n in alike)])
+        own = np.array([place[i] + place[j] for i, j in (pairs[n] for n in alike)])
         step = max(int(NUMBERS_AT_ONCE / (len(squares) * size**2)), 1)
         for some in (slice(k, k + step) for k in range(0, len(own), step)):
             core, right = inner[..., own[some, :, None], own[some, None]], data[:, own[some]]
@@ -330,7 +332,8 @@ def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Mem
             left[at] = (squares[:, None] - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=-1)).T
             determinant[at] = np.linalg.slogdet(core)[1].T if core.ndim > 3 else np.linalg.slogdet(core)[1][:, None]
     logs = tried.gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant + tried.log_prior
-    weight = logsumexp(logs, axis=1) + [work.prior(members | {k: points[k] for k in pair}) for pair in pairs]
+    alone = {k: work.prior({k: point}) for k, point in points.items()}
+    weight = logsumexp(logs, axis=1) + work.prior(members) + [alone[i] + alone[j] for i, j in pairs]
     least = max(value for value, _ in work.found.values()) + _HOPELESS
     best = [pairs[n] for n in np.argsort(-weight)[:_PAIRS] if weight[n] > least]
     return [{k: points[k] for k in pair} for pair in best]
