@@ -45,10 +45,14 @@ def test_the_columns_themselves_have_the_reduced_matrix(case, make_network):
     whole = make_network(seed=3, **CASES[case]).network
     network = whole.select(np.random.default_rng(1).random(len(whole.reading)) > 0.1)
     theta, local = network.problem().zero
-    place, columns = columns_without_points(network.part(), theta, local[0])
+    found = columns_without_points(network.part(), theta, local[0])
     total, _ = gram(replace(network.problem(), priors=None), theta, local)
-    assert np.array_equal(place, np.arange(len(theta)))
-    assert columns @ columns.T == pytest.approx(total, rel=1e-9, abs=1e-9 * total.max())
+    assert np.array_equal(found.places, np.arange(len(theta)))
+    assert found.columns @ found.columns.T == pytest.approx(total, rel=1e-9, abs=1e-9 * total.max())
+    further = np.random.default_rng(2).standard_normal((3, len(network.reading)))
+    left = found.without_points(further)
+    assert left @ found.columns.T == pytest.approx(further @ found.columns.T, rel=1e-9, abs=1e-9 * total.max())
+    assert found.without_points(left) == pytest.approx(left, abs=1e-12)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -87,14 +87,32 @@ def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
         return list(_pool(os.getpid(), _THREADS).map(lambda chunk: work(*chunk), chunks))
 
 
-def columns_without_points(part: Part, theta: Array, local: Array) -> tuple[IntArray, Array]:
-    """Places (k,) of the unknowns that a part sees; (k + 1, n) their columns and, last, the residual.
+@dataclass(frozen=True)
+class PartColumns:
+    """A part's columns over the declared uncertainty, at shared and own unknowns; the points' own projected off."""
 
-    Both over the declared uncertainty, at shared and own unknowns; the points' own unknowns are projected off.
-    """
+    places: IntArray  # (k,) of the unknowns that it sees
+    columns: Array  # (k + 1, n) their columns and, last, the residual
+    # by group of points (S, n) places of their readings, -1 for none, and (d, S, n) orthonormal columns of their own
+    # unknowns
+    points: tuple[tuple[IntArray, Array], ...]
+
+    def without_points(self, columns: Array) -> Array:
+        """(k, n) further columns, over the declared uncertainty too, with the points' own unknowns projected off."""
+        out = columns.copy() if self.points else columns
+        for rows, units in self.points:
+            own = np.where(rows >= 0, columns[:, rows], 0.0)
+            for unit in units:
+                own -= unit * np.einsum("sn,ksn->kn", unit, own)[:, None]
+            out[:, rows[rows >= 0]] = own[:, rows >= 0]
+        return out
+
+
+def columns_without_points(part: Part, theta: Array, local: Array) -> PartColumns:
+    """Those of a part at shared unknowns (m,) and its points' own."""
     places = [part.columns(group) for group in range(len(part.groups))]
     used = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *places]))
-    columns = np.zeros((len(used) + 1, part.n_readings))
+    columns, points = np.zeros((len(used) + 1, part.n_readings)), list[tuple[IntArray, Array]]()
     for group, layout in enumerate(part.groups):
         slots, n = layout.rows.shape
         rows = part.rows(group, slice(0, n), theta, local)
@@ -106,16 +124,17 @@ def columns_without_points(part: Part, theta: Array, local: Array) -> tuple[IntA
             # One by one: a block may hold an unknown twice, or one of the dense ones.
             for k, column in zip(at[place * p :], rows.block[:, slot], strict=False):
                 own[k, slot] += column
-        for unit in orthonormal(rows.local):
-            own -= unit * np.einsum("sn,ksn->kn", unit, own)[:, None]
         there = layout.rows >= 0
         columns[:, layout.rows[there]] = own[:, there]
-    return used, columns
+        if part.dimension:
+            points.append((layout.rows, orthonormal(rows.local)))
+    raw = PartColumns(used, columns, tuple(points))
+    return replace(raw, columns=raw.without_points(columns))
 
 
 def is_small(part: Part) -> bool:
-    """Whether a part has no points, nor so many readings that all at once would take memory."""
-    return not part.dimension and part.n_readings <= _UNDIVIDED
+    """Whether a part has no more readings than can be held side by side without much memory."""
+    return part.n_readings <= _UNDIVIDED
 
 
 @single_blas()
@@ -128,9 +147,9 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
     total = np.zeros((m + 1, m + 1))
     squares = np.zeros(m + 1)
     for part, own in zip(problem.parts, local, strict=True):
-        if is_small(part):
-            index, columns = columns_without_points(part, theta, own)
-            index, value = np.append(index, m), columns @ columns.T
+        if is_small(part) and not part.dimension:
+            seen = columns_without_points(part, theta, own)
+            index, value = np.append(seen.places, m), seen.columns @ seen.columns.T
             total[np.ix_(index, index)] += value
             squares[index] += np.diag(value)
             continue

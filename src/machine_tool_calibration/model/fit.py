@@ -15,6 +15,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Part, PartAround, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import (
+    PartColumns,
     Projected,
     columns_without_points,
     gram,
@@ -59,8 +60,8 @@ class JointFit(Solved):
         return covariance_root(total, squares, problem.constraints)
 
     @cached_property
-    def columns(self) -> list[tuple[IntArray, Array]] | None:
-        """Of each session `columns_without_points` at the solution; None where one has points, or many readings."""
+    def columns(self) -> list[PartColumns] | None:
+        """Of each session `columns_without_points` at the solution; None where one has many readings."""
         if not all(map(is_small, self.assembly.problem.parts)):
             return None
         theta = self.solution.theta
@@ -225,18 +226,20 @@ def screen_columns(joint: JointFit, columns: Sequence[Array]) -> Projected:
     if joint.columns is None:
         shared = tuple(Parameter(f"{j}", "1", shared=True) for j in range(k))
         return screen_joint(joint, [[Term("columns", shared, own)] for own in columns])
-    cross, inner = np.zeros((joint.assembly.problem.size, k + 1)), np.zeros((k + 1, k + 1))
-    inner[-1, -1] = joint.solution.chi_square
+    cross, inner, squares = np.zeros((joint.assembly.problem.size, k + 1)), np.zeros((k + 1, k + 1)), np.zeros(k + 1)
+    inner[-1, -1] = squares[-1] = joint.solution.chi_square
     with single_blas():
-        for (places, model), own, session in zip(joint.columns, columns, joint.assembly.models, strict=True):
+        for part, own, session in zip(joint.columns, columns, joint.assembly.models, strict=True):
             # A column of one session alone is zero in the others.
             seen = np.flatnonzero(own.any(axis=1))
             scaled = own[seen] / session.sigma
-            cross[np.ix_(places, seen)] += model[:-1] @ scaled.T
+            squares[seen] += np.einsum("kn,kn->k", scaled, scaled)
+            scaled = part.without_points(scaled)
+            cross[np.ix_(part.places, seen)] += part.columns[:-1] @ scaled.T
             inner[np.ix_(seen, seen)] += scaled @ scaled.T
-            inner[seen, -1] += scaled @ model[-1]
+            inner[seen, -1] += scaled @ part.columns[-1]
         inner[-1] = inner[:, -1]
-        return projected(cross, inner, np.diag(inner), joint.root)
+        return projected(cross, inner, squares, joint.root)
 
 
 def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:

@@ -48,12 +48,12 @@ def added_by_memory(
     theta = np.pad(solution.theta, (0, len(step) - len(solution.theta)))
     parts = zip(problem.parts, solution.local, strict=True)
     each = [columns_without_points(part, theta, local) for part, local in parts]
-    left = [columns[-1] - step[place] @ columns[:-1] for place, columns in each]
+    left = [own.columns[-1] - step[own.places] @ own.columns[:-1] for own in each]
     before, after = neighbours_of(observed)
     memory = memory_of(np.concatenate(left), before, after, solution.degrees_of_freedom)
     beyond = np.zeros_like(covariance)
-    for (place, columns), own in zip(each, observed, strict=True):
-        beyond[np.ix_(place, place)] += beyond_independent(memory, columns[:-1], *own.neighbours)
+    for own, one in zip(each, observed, strict=True):
+        beyond[np.ix_(own.places, own.places)] += beyond_independent(memory, own.columns[:-1], *one.neighbours)
     if not beyond.any():
         return beyond
     root = root_of(covariance)
