@@ -2,6 +2,7 @@
 """Columns and readings at random, their inner products, and what is known of these by explicit covariance matrices."""
 
 import numpy as np
+from scipy.stats import multivariate_t
 
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
@@ -21,7 +22,10 @@ def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) ->
 
 
 def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:
-    """log p(y) up to what all models share, the variance of the noise integrated with what was declared as prior."""
-    squares = float(readings @ np.linalg.solve(covariance, readings))
-    determinant = np.linalg.slogdet(covariance)[1]
-    return float(-0.5 * determinant - 0.5 * (N + priors.DECLARED_DOF) * np.log(priors.DECLARED_DOF + squares))
+    """log p(y) up to what all models share: of a multivariate Student distribution for each prior of the noise."""
+    shape = [multivariate_t(shape=covariance, df=dof).logpdf(readings) for dof in priors.NOISE_DOF]
+    return float(np.logaddexp(*shape)) + ALL_SHARE
+
+
+ALL_SHARE = 0.5 * N * np.log(np.pi)
+"""What `Gram.log_likelihood` leaves out: what the readings' number alone gives to any model."""

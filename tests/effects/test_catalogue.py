@@ -309,8 +309,9 @@ def test_every_effect_states_what_it_is() -> None:
         assert all(shape.low >= 0.0 < shape.step for shape in effect.shapes)
 
 
-def test_a_coefficient_of_an_expected_sign_is_looked_for_on_both_sides() -> None:
-    assert Coefficient("b", "m", 0.0, 2e-5).least == -2e-5
+def test_a_coefficient_whose_sign_is_a_convention_is_looked_for_on_both_sides() -> None:
+    assert Coefficient("b", "m", 0.0, 2e-5, by_convention=True).least == -2e-5
+    assert Coefficient("s", "1", 0.0, 2e-5).least == 0.0
     assert Coefficient("b", "m", -1e-5, 2e-5).least == -1e-5
     (backlash,) = find_effects(["backlash_x"])[0].coefficients
     assert backlash.low == 0.0 and backlash.least == -backlash.high

@@ -211,19 +211,22 @@ def test_a_coefficient_that_is_negative_and_should_not_be_is_said_to_be() -> Non
 
 
 def test_lost_motion_is_negative_where_it_was_read() -> None:
-    """Where the constant is negative only because the rest of the travel was not read, nothing is overcompensated."""
+    """Where the constant is negative only because the rest of the travel was not read, nothing is overcompensated.
+
+    Nor where it has either sign where it was read.
+    """
     session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=77)).session
-    travel = {"x": (-0.4, 0.4)}
+    travel = {"x": (-0.8, 0.4)}
     machine = session.description.machine.model_copy(update={"travel": travel})
     session = replace(session, description=session.description.model_copy(update={"machine": machine}))
     x, sense = session.readings.column("x"), session.readings.column("dir_x")
-    for sign in (1.0, -1.0):
-        half = sign * (40e-6 * x - 6e-6)
+    for sign, least in ((1.0, 1e-6), (-1.0, 1e-6), (-1.0, -4e-6)):
+        half = sign * (40e-6 * x + least)
         moved = replace(session.readings, displacement=session.readings.displacement - half * sense)
         run = identify(session.with_readings(moved), effects=("lost_motion_x",), keep_all=True)
         constant = next(p.value for p in run.parameters if p.name == "lost_motion_x.b0")
         assert constant * sign < -2e-6 and float(np.mean(half)) * sign > 0.0
-        negative = [say("fit.negative_backlash", name="lost_motion_x")] if sign < 0 else []
+        negative = [say("fit.negative_backlash", name="lost_motion_x")] if sign < 0 < least else []
         assert list(effect_words(run.joint, run.effects)) == negative
 
 

@@ -359,3 +359,20 @@ def test_a_burst_of_wrong_readings_is_no_course_of_the_run(length: int, size: fl
     columns = {**readings.columns, "dir_x": np.where(hit, -1.0, 1.0)}
     turned = replace(readings, displacement=readings.displacement + size * hit, columns=columns)
     assert len(find_outliers(session.with_readings(turned), _built)) < length
+
+
+def test_what_every_station_sees_at_a_place_is_the_machine() -> None:
+    """A lost motion at three targets in a row: of one station it would be a hand in the beam."""
+    session = simulate(SimulationSpec(plan=PLANS["tracking_2d"], seed=8)).session
+    readings = session.readings
+    x, y = readings.column("x"), readings.column("y")
+    back = readings.repeat == readings.repeat.max()
+    there = back & (y == y.max()) & (np.abs(x - np.median(x)) < 0.3 * np.ptp(x))
+    columns = {**readings.columns, "dir_y": np.where(back, -1.0, 1.0)}
+    aside = {}
+    for name, seen in (("every station", there), ("one station", there & (readings.setup == 0))):
+        off = 12e-6 * seen * build_model(session)[0].observations.direction[:, 1]
+        moved = replace(readings, displacement=readings.displacement + off, columns=columns)
+        aside[name] = find_outliers(session.with_readings(moved), _built)
+    assert aside["every station"] == []
+    assert {one.row for one in aside["one station"]} == set(readings.row[there & (readings.setup == 0)].tolist())

@@ -179,9 +179,8 @@ def _occurs(fit: JointFit, name: str) -> bool:
     published = fit.published
     for k, own in enumerate(fit.assembly.parameters):
         if own.kind is Kind.EFFECT and own.owner == name and published.determined[k] and own.low is not None:
-            most = max(abs(own.low), abs(own.high or 0.0))
             value, u = own.reference + float(published.theta[k]), float(published.covariance[k, k]) ** 0.5
-            if not occurs(value, u, -most, most):
+            if not occurs(value, u, own.low, own.high or 0.0):
                 return False
     return True
 

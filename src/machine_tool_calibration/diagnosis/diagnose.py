@@ -385,7 +385,9 @@ def _verdict(found: Diagnosis) -> str:
     if found.accepted:
         return "missing_effect"
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
-    if found.nothing < 1.0 - priors.SURE and not _good_enough(found):
+    doubted = [name for name, why in found.refused.items() if not without_size(why)]
+    sure = any(found.search.of(name).probability > priors.SURE for name in doubted)
+    if sure or (found.nothing < 1.0 - priors.SURE and not _good_enough(found)):
         return "unexplained"
     return "outliers" if found.gross_errors else "adequate"
 

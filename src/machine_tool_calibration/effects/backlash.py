@@ -17,7 +17,7 @@ class Backlash(ReversalEffect):
     title = say("effect.backlash")
     formula = "e_{axis} = -b dir_{axis}"
     source = "ISO 230-2:2014, reversal error; half width b"
-    coefficients = (Coefficient("b", "m", 0.0, 5e-5, say("coefficient.half_width")),)
+    coefficients = (Coefficient("b", "m", 0.0, 5e-5, say("coefficient.half_width"), by_convention=True),)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The sensed part of the axis's direction, against the direction of approach."""
@@ -31,7 +31,7 @@ class RotaryBacklash(ReversalEffect):
     title = Backlash.title
     formula = say("formula.backlash_angle")
     source = Backlash.source
-    coefficients = (Coefficient("b", "rad", 0.0, 1e-3, say("coefficient.half_width")),)
+    coefficients = (Coefficient("b", "rad", 0.0, 1e-3, say("coefficient.half_width"), by_convention=True),)
 
     def __init__(self, name: str) -> None:
         """Backlash of a, b or c."""

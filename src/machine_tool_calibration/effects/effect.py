@@ -27,11 +27,13 @@ class Coefficient:
     high: float  # largest plausible value
     meaning: str = ""  # what it is, in a few words
     usual: float = np.inf  # largest size that is usual; what lies between it and the limits occurs, but seldom
+    # whether it is positive by convention alone, as a control compensates, or directions were exchanged
+    by_convention: bool = False
 
     @property
     def least(self) -> float:
-        """Smallest value that is looked for: a sign is expected, and no wall."""
-        return -self.high if self.low == 0.0 else self.low
+        """Smallest value that is looked for: a sign by convention is expected, and no wall."""
+        return -self.high if self.by_convention else self.low
 
 
 @dataclass(frozen=True)

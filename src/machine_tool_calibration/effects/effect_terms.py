@@ -77,7 +77,7 @@ def effect_term(
 
 def _coefficient(effect: Effect, of: Coefficient, reference: float, shared: bool) -> Parameter:
     name, kind = f"{effect.id}.{of.name}", Kind.EFFECT
-    return Parameter(name, of.unit, of.low, of.high, reference, shared, kind, effect.id, meaning=of.meaning)
+    return Parameter(name, of.unit, of.least, of.high, reference, shared, kind, effect.id, meaning=of.meaning)
 
 
 def common_shape(

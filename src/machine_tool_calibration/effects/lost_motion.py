@@ -37,7 +37,14 @@ class LostMotion(ReversalEffect):
     formula = say("formula.lost_motion", axis="{axis}", n=LOST_MOTION_DEGREES)
     source = "ISO 230-2:2014, reversal error at each position"
     coefficients = tuple(
-        Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, say("coefficient.half_width_of", shape=_shape(k)))
+        Coefficient(
+            f"b{k}",
+            "m",
+            0.0 if k == 0 else -5e-5,
+            5e-5,
+            say("coefficient.half_width_of", shape=_shape(k)),
+            by_convention=True,
+        )
         for k in range(LOST_MOTION_DEGREES + 1)
     )
     contains = (Backlash.id,)

@@ -20,7 +20,7 @@ class ReversalSpike(CircleEffect):
     title = say("effect.reversal_spike")
     formula = say("formula.reversal_spike", axis="{axis}")
     source = "ISO 230-4:2005, Annex B; Kakino, Ihara and Nakatsu 1987"
-    coefficients = (Coefficient("h", "m", 0.0, 5e-5, say("coefficient.spike")),)
+    coefficients = (Coefficient("h", "m", 0.0, 5e-5, say("coefficient.spike"), by_convention=True),)
     shapes = (Shape("reach", "m", 1e-5, 0.2, meaning=say("coefficient.reach")),)
     chain = moves = "{AXIS}"
 

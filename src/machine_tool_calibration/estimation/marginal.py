@@ -16,7 +16,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
-from scipy.special import gammaln, softmax
+from scipy.special import expit, gammaln
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
@@ -50,8 +50,7 @@ class Gram:
     dof: float  # degrees of freedom of the readings beside the model's unknowns, those that are independent
     # of the last families, where they are known in their own unit: with their prior probabilities
     sizes: tuple[dict[float, float], ...] = ()
-    # prior degrees of freedom of the noise; infinite where it is known
-    prior_dof: float = priors.DECLARED_DOF
+    noise_known: bool = False  # whether the noise is as declared
 
     @property
     def spread(self) -> IntArray:
@@ -71,23 +70,23 @@ class Gram:
 
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
-        return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, prior_dof=np.inf)
+        return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, noise_known=True)
 
     def log_likelihood(self, left: Array | float) -> Array:
         """Logarithm of the evidence by the squares that are left, up to what all models share.
 
-        That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
-        half of chi-square.
+        The variance of the noise is integrated out (`log_noise`); where it is known: minus half of chi-square.
         """
-        if np.isinf(self.prior_dof):
-            return np.asarray(-0.5 * left)
-        return np.asarray(-0.5 * (self.dof + self.prior_dof) * np.log(self.prior_dof + left))
+        return np.asarray(-0.5 * left if self.noise_known else np.logaddexp(*log_noise(left, self.dof)))
 
     def variance(self, left: Array) -> Array:
         """Variance of the noise by the squares that are left, over that declared, or over the known one."""
-        if np.isinf(self.prior_dof):
-            return np.ones_like(left)
-        return np.asarray((self.prior_dof + left) / (self.prior_dof + self.dof))
+        return np.ones_like(left) if self.noise_known else noise_variance(left, self.dof)
+
+    @property
+    def noise_dof(self) -> float:
+        """Degrees of freedom of the distribution of a size, at least."""
+        return np.inf if self.noise_known else self.dof + min(priors.NOISE_DOF)
 
 
 @dataclass(frozen=True)
@@ -168,21 +167,23 @@ class Marginal:
         return Marginal(self, self.ratio, log_prior, half, half_data)
 
 
-def log_noise(squares: Array | float, dof: float) -> Array:
-    """(..., 2) logarithms of the likelihood of sums of squares, for each of `priors.NOISE_DOF`.
+def log_noise(squares: Array | float, dof: float) -> list[Array]:
+    """Logarithms of the likelihood of sums of squares, (...) for each of `priors.NOISE_DOF`.
 
     Either it holds, as well as so many readings would say it, or it says next to nothing (inverse-gamma priors of the
-    variance): what differs by more than was declared is not for that alone what does not reproduce.
+    variance): what differs by more than was declared is not for that alone what does not reproduce, or an effect.
     """
-    prior, half, logs = _noise_terms(dof)
-    return np.asarray(logs - half * np.log(prior + np.asarray(squares)[..., None]))
+    return [log - half * np.log(prior + squares) for prior, half, log in _noise_terms(dof)]
 
 
 @cache
-def _noise_terms(dof: float) -> tuple[Array, Array, Array]:
-    prior = np.array(priors.NOISE_DOF)
-    half = 0.5 * (dof + prior)
-    return prior, half, np.asarray(gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior))
+def _noise_terms(dof: float) -> list[tuple[float, float, float]]:
+    """Prior degrees of freedom, half of all, and the logarithm of the factor that both have."""
+    out = []
+    for prior in priors.NOISE_DOF:
+        half = 0.5 * (dof + prior)
+        out.append((prior, half, float(gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior))))
+    return out
 
 
 def noise_variance(squares: Array | float, dof: float) -> Array:
@@ -191,10 +192,13 @@ def noise_variance(squares: Array | float, dof: float) -> Array:
     Where the declared one need not hold it is the mean of an inverse gamma distribution: with few degrees of freedom
     more than the likeliest value, as Student's distribution is wider than the normal one.
     """
-    prior = np.array(priors.NOISE_DOF)
-    known = np.where(prior > priors.HARDLY_DECLARED_DOF, dof, np.maximum(dof - 2.0, 1.0 - prior))
-    each = (prior + np.expand_dims(squares, -1)) / (prior + known)
-    return np.asarray(np.sum(softmax(log_noise(squares, dof), axis=-1) * each, axis=-1))
+    declared, hardly = priors.NOISE_DOF
+    log_declared, log_hardly = log_noise(squares, dof)
+    share = expit(log_declared - log_hardly)
+    own = max(dof - 2.0, 1.0 - hardly)
+    return np.asarray(
+        share * (declared + squares) / (declared + dof) + (1.0 - share) * (hardly + squares) / (hardly + own)
+    )
 
 
 LogEvidence = Callable[[tuple[float, ...], float], float]

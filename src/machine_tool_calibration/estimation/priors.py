@@ -24,10 +24,6 @@ CORRELATIONS = {0.0: 0.5} | dict.fromkeys(
 )
 """Correlations of noise from one reading of a setup to the next, with their probabilities: half that there is none."""
 
-MADE_UP_FOR = 30.0
-"""Logarithm of the evidence of a memory up to which an effect may be hidden by it: one that is so much of fifty
-readings as to make them alike by more is found with that memory, too."""
-
 OWN_NOISE = 0.1
 """Probability that directions or setups that are read directly have noise of their own: mostly one instrument reads
 all."""
@@ -109,8 +105,9 @@ RARE, RARE_SIZE = 0.01, SCALE_STEP**2
 what the readings say clearly holds."""
 
 POSITIVE = 10.0
-"""Odds that a coefficient which is positive by its nature (a backlash) is so in the readings: a control may compensate
-more than there is, and directions of approach may be recorded the wrong way round."""
+"""Odds that a reversal is positive in the readings: a control may compensate more than there is, and directions of
+approach may be recorded the wrong way round. What is positive by its nature, such as the growth of a screw, is no other
+way: what looks like it was something else in each of four simulated sessions, and ruined the map."""
 
 ANY_SIZE = 50.0
 """Half the size that a structure without a cause may have, in standard uncertainties of a reading."""

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import Gram, left_at, log_noise, noise_variance, size_grid
+from machine_tool_calibration.estimation.marginal import Gram, left_at, size_grid
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 # Steps of what is published for one that a search needs; logarithm of the widest.
@@ -64,11 +64,11 @@ def components(gram: Gram) -> Components:
 
     def log_evidence(ratio: tuple[float, ...], prior: float) -> float:
         log_prior, left[ratio] = left_at(gram, ratio, prior)
-        return log_prior + float(np.logaddexp(*log_noise(left[ratio], gram.dof)))
+        return log_prior + float(gram.log_likelihood(left[ratio]))
 
     ratios, _, logs = zip(*size_grid(gram, log_evidence, finer=_FINER), strict=True)
     log_weights = np.array(logs) - logsumexp(logs)
-    variances = noise_variance(np.array([left[ratio] for ratio in ratios]), gram.dof)
+    variances = gram.variance(np.array([left[ratio] for ratio in ratios]))
     return Components(tuple(ratios), log_weights, float(np.sqrt(np.exp(log_weights) @ variances)))
 
 
@@ -81,7 +81,7 @@ def with_unrepeated(found: Components, gram: Gram, unrepeated: BoolArray) -> Com
     """
     beside = np.unique(np.array(found.ratios)[:, ~unrepeated], axis=0, return_inverse=True)[1].reshape(-1)
     left = [left_at(gram, ratio) for ratio in found.ratios]
-    logs = found.log_weights + [log + float(np.logaddexp(*log_noise(squares, gram.dof))) for log, squares in left]
+    logs = found.log_weights + [log + float(gram.log_likelihood(squares)) for log, squares in left]
     for group in range(int(beside.max()) + 1):
         own = beside == group
         logs[own] += logsumexp(found.log_weights[own]) - logsumexp(logs[own])

@@ -113,11 +113,12 @@ def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
     unknowns = fit.assembly.unknowns
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]
-        # A nonlinear coefficient is positive wherever it is looked for.
-        if unknown.low == 0.0 and unknown.reference == 0.0:
-            reversal = found.owner.startswith(("backlash_", "lost_motion_"))
-            value, u = _mean_size(fit, found.owner) if reversal else (found.value, found.standard_uncertainty)
-            if value < -_SURE * u:
+        reversal = found.owner.startswith(("backlash_", "lost_motion_")) and found.name.endswith((".b", ".b0"))
+        if reversal or unknown.low == 0.0:
+            value, u, least = found.value, found.standard_uncertainty, -np.inf
+            if reversal:
+                value, u, least = _mean_size(fit, found.owner)
+            if value < -_SURE * u and least <= _SURE:
                 key = "fit.negative_backlash" if reversal else "fit.negative"
                 yield say(key, name=found.owner if reversal else found.name)
         if found.name.endswith("periodic_" + found.owner[-1] + ".lead"):
@@ -127,15 +128,20 @@ def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
                 yield say("fit.alias", name=found.name, others=together(others, say("text.and")))
 
 
-def _mean_size(fit: JointFit, effect: str) -> tuple[float, float]:
-    """Mean over the readings of what an effect's first coefficient would be at each, and its standard uncertainty."""
+def _mean_size(fit: JointFit, effect: str) -> tuple[float, float, float]:
+    """Mean over the readings of what an effect's first coefficient would be at each, and its standard uncertainty.
+
+    And the largest of them, over its own: beside such a one it has either sign, and none is wrong.
+    """
     for own in fit.fits:
         first = len(own.model.own)
         for term in own.model.terms:
             place = slice(first, first + len(term.parameters))
             if term.name == effect:
+                known, theta, seen = own.covariance[place, place], own.theta[place], term.columns[0] != 0.0
                 weights = term.columns @ term.columns[0] / (term.columns[0] @ term.columns[0])
-                u = np.sqrt(weights @ own.covariance[place, place] @ weights)
-                return float(weights @ own.theta[place]), float(u)
+                each = term.columns[:, seen] / term.columns[0, seen]
+                over = (theta @ each) / np.sqrt(np.einsum("kn,kj,jn->n", each, known, each))
+                return float(weights @ theta), float(np.sqrt(weights @ known @ weights)), float(over.max())
             first = place.stop
     raise KeyError(effect)

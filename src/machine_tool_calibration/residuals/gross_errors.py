@@ -265,6 +265,8 @@ class _Search:
         noise = beside if self.pattern else noise
         of_a_machine = np.abs(off) * self.sigma < _COURSE
         self.explained = neighbours.explained(every, off, noise.scale, noise.limit) & of_a_machine
+        self.right = neighbours.displaced(every, off, noise.scale, noise.limit) & of_a_machine
+        self.explained |= self.right
         if self.pattern:
             course = neighbours.course(every, off)
             self.part, off = ShiftedPart(self.part, -course * np.sqrt(spare)), off - course
@@ -369,6 +371,7 @@ class _Search:
         explained = self.neighbours.explained(held, fit.residual, fit.bulk.scale, fit.bulk.limit)
         explained |= self.neighbours.in_a_row(held, fit.residual, fit.bulk.scale)
         explained |= self.neighbours.repeated(held, fit.residual, fit.bulk.scale * fit.bulk.limit)
+        explained |= self.neighbours.displaced(held, fit.residual, fit.bulk.scale, fit.bulk.limit)
         explained |= self._beside_a_bend(held, fit.residual, fit.bulk)
         return explained & (np.abs(fit.residual * self.sigma)[held] < _COURSE)
 

@@ -10,6 +10,8 @@ from machine_tool_calibration.session.session import Readings
 
 # Distance of places that are one, over the usual one of readings, and at most, m; below which nothing moved, m.
 _NEAR, _NEAREST, _SAME = 0.3, 1e-3, 1e-9
+# Share of the best seen direction of a displacement below which one is not seen.
+_UNSEEN = 1e-4
 
 
 class Neighbours:
@@ -34,6 +36,7 @@ class Neighbours:
         place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
         self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
         self.repeats = _Ordered(readings.alike())
+        self.setup, self.place, self.direction = readings.setup, readings.alike(setup=False), direction
         approaches = [np.sign(readings.columns[f"dir_{a}"]) for a in "xyzabc" if f"dir_{a}" in readings.columns]
         alike = [groups(readings.setup, approach) for approach in approaches or [np.zeros(len(run))]]
         # (n,) readings of the setup with the same approach, along the axis of which the fewest have it
@@ -80,6 +83,35 @@ class Neighbours:
             for level in [_median(near, priors.AGREEING)] + ([_line(steps, near)] if steps is not None else []):
                 within = limit * np.sqrt(noise**2 + (priors.CURVED * level) ** 2)
                 out |= most & (np.abs(residual[which] - level) < within)
+        return out
+
+    def displaced(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
+        """(k,) whether the place of a reading is displaced, as other setups that read it with the same approach say.
+
+        By least squares of their readings alone, more than would be needed, which agree: what stands in one beam is not
+        seen by the next.
+        """
+        out, some = np.zeros(len(which), dtype=bool), np.flatnonzero(np.abs(residual[which]) > priors.SUSPECTED * noise)
+        if not len(some):
+            return out
+        there = np.flatnonzero(np.isin(self.place, self.place[which[some]]))
+        place, pair = groups(self.place[there]), groups(self.place[there], self.setup[there])
+        rows = np.column_stack([self.direction, residual])[there]
+        # Sums of products over the readings of each place, and over those of one setup there.
+        every, mine = np.zeros((int(place.max()) + 1, 4, 4)), np.zeros((int(pair.max()) + 1, 4, 4))
+        for sums, group in ((every, place), (mine, pair)):
+            np.add.at(sums, group, rows[:, :, None] * rows[:, None])
+        at = np.searchsorted(there, which[some])
+        others, own = every[place[at]] - mine[pair[at]], rows[at, :3]
+        count = np.bincount(place)[place[at]] - np.bincount(pair)[pair[at]]
+        known = np.linalg.pinv(others[:, :3, :3], _UNSEEN, hermitian=True)
+        displacement = np.einsum("kij,kj->ki", known, others[:, :3, 3])
+        left = others[:, 3, 3] - np.einsum("ki,ki->k", displacement, others[:, :3, 3])
+        more = count > np.linalg.matrix_rank(others[:, :3, :3], rtol=_UNSEEN, hermitian=True)
+        says, variance = np.einsum("ki,ki->k", own, displacement), np.einsum("ki,kij,kj->k", own, known, own)
+        follows = np.abs(rows[at, 3] - says) < limit * noise * np.sqrt(1.0 + variance)
+        clear = np.abs(says) > priors.SUSPECTED * noise * np.sqrt(variance)
+        out[some] = follows & clear & more & (left < (limit * noise) ** 2)
         return out
 
     def in_a_row(self, which: IntArray, residual: Array, noise: float) -> BoolArray:

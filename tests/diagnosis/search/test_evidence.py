@@ -80,7 +80,7 @@ def test_one_coefficient_with_a_direct_integration_over_it_and_the_noise() -> No
     log_variance = np.linspace(-2.5, 3.0, 401)[:, None]
     coefficient = np.linspace(-3.0, 3.0, 801)[None, :]
     noise = np.exp(0.5 * log_variance)
-    prior = np.exp(-0.5 * priors.DECLARED_DOF * (log_variance + noise**-2.0))
+    prior = sum(stats.invgamma.pdf(noise**2, dof / 2, scale=dof / 2) * noise**2 for dof in priors.NOISE_DOF)
 
     def likelihood(value: np.ndarray) -> np.ndarray:
         squares = np.sum((readings[:, None] - value.reshape(-1) * wide) ** 2, axis=0)

@@ -195,14 +195,12 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
         k = then[0]
         found = _searched(columns, side_by_side, k, at_first=True)
         beside = pool.memory(pool.residuals_beside(_change(columns, found)))
-        own, none = beside.log_evidence_of(k), beside.log_evidence_of(1.0)
         least = found.marginal_with(found.best)
         cost = least.gram.log_likelihood(least.squares) - logsumexp(list(found.log_weights.values()))
-        # Next: what is left now, and as far further down, as by that less is left again; none, unless no effect could
-        # make up for what is alike; and the root, a way off.
+        # Next: what is left now, and as far further down, as by that less is left again; none; and the root, a way off.
         left = beside.readings_per_independent
-        further = [max(left * min(left / k, 1.0), 1.0), 1.0 if own - none < priors.MADE_UP_FOR else k, k**0.5]
-        tried[k] = own - float(cost), found, further
+        further = [max(left * min(left / k, 1.0), 1.0), 1.0, k**0.5]
+        tried[k] = beside.log_evidence_of(k) - float(cost), found, further
         best = max(tried, key=lambda k: tried[k][0])
         then = [one for one in tried[best][2] if all(abs(one / other - 1.0) > _SAME_MEMORY for other in tried)]
     return best, tried[best][1]

@@ -76,7 +76,7 @@ class Block:
         if shaped.coefficients:
             low, high = priors.BEYOND * np.array([(c.least, c.high) for c in shaped.coefficients]).T
             unit = np.maximum(np.abs(low), np.abs(high)) / (2.0 * priors.BEYOND)
-            positive = np.array([c.low == 0.0 for c in shaped.coefficients])
+            positive = np.array([c.by_convention for c in shaped.coefficients])
             if shaped.law is not None:
                 free = np.full(len(shaped.law), np.inf)
                 unit = np.append(unit, np.full(len(free), shaped.law_unit))
@@ -269,8 +269,7 @@ def _evidence(blocks: Batch, tried: Marginal) -> tuple[Array, Array]:
     deviation = np.sqrt(np.maximum(gain @ turned**2 * gram.variance(left)[..., None], 1e-300))
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
-    dof = gram.dof + gram.prior_dof
-    least, zero, most = (_normal((limit - mean) / deviation, dof) for limit in (low, 0.0, high))
+    least, zero, most = (_normal((limit - mean) / deviation, gram.noise_dof) for limit in (low, 0.0, high))
     after, before = _log_between(least, most), _log_between(low / scale, high / scale)
     # One that is expected to be positive: of either sign, at these odds.
     if blocks.positive.any():
