@@ -25,6 +25,7 @@ from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
+from machine_tool_calibration.words import say
 
 from ..cube import CUBE
 from ..diagnosed import diagnosed
@@ -98,7 +99,25 @@ def test_the_verdict_by_what_is_unknown_and_what_effects_explain(
         accepted=named,
         gross_errors=(),
         left=left,
+        refused={},
     )
+    assert _verdict(cast(Diagnosis, found)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("probability", "why", "verdict"),
+    [
+        (0.97, say("undetermined.not_predicted", what="x"), "unexplained"),
+        (0.90, say("undetermined.not_predicted", what="x"), "adequate"),
+        (0.97, say("undetermined.explains_nothing"), "adequate"),
+    ],
+)
+def test_a_sure_cause_that_is_refused_leaves_the_model_unexplained(probability: float, why: str, verdict: str) -> None:
+    """Beside it nothing is looked for any longer that it would explain, so that nothing seems to be missing."""
+    search = SimpleNamespace(of=lambda name: SimpleNamespace(probability=probability))
+    fits = [SimpleNamespace(solution=SimpleNamespace(chi_square=1000.0))]
+    known = {"contradicted": False, "unknown": 0.0, "nothing": 0.9, "accepted": (), "gross_errors": (), "left": ()}
+    found = SimpleNamespace(**known, fits=fits, search=search, refused={"backlash_y": why})
     assert _verdict(cast(Diagnosis, found)) == verdict
 
 

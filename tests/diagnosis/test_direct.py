@@ -484,16 +484,24 @@ def test_an_effect_that_would_leave_no_reading_to_check_it_is_not_looked_for() -
     assert "too few readings" in found.excluded["EXX"]
 
 
-def test_look_alikes_none_of_which_is_likelier_than_that_none_is_there_are_not_named() -> None:
+def test_ten_readings_that_scatter_far_more_than_declared_have_no_cause() -> None:
     """Ten angles of a published calibration (an autocollimator, 1 arc second as 1 µm): a wave has F(3, 5) = 1.8."""
     table = [564.874, 564.220, 563.287, 562.509, 561.808, 561.068, 560.154, 559.319, 558.541, 557.713]
     at = np.array([49.42, 151.0, 251.64, 350.96, 451.82, 551.86, 650.85, 751.97, 855.49, 952.11])
     columns = {"time": 120.0 * np.arange(10.0), "x": 1e-3 * at, "displacement": -1e-6 * np.array(table)}
     columns |= {"gx": np.ones(10), "gy": np.zeros(10), "gz": np.zeros(10)}
     found = diagnose(plates.session(columns, 2e-8, "offset", ("EXX",)))
-    together = sum(p for names, p in found.search.sets if names)
-    assert together > 0.5  # of several effects, of which none is it
-    assert max(finding.probability for finding in found.search.findings) < found.search.nothing
+    assert found.search.nothing > 0.5
+    assert (found.verdict, found.accepted) == ("adequate", ())
+
+
+@pytest.mark.parametrize("seed", [1021, 1023, 1025])
+def test_noise_that_is_larger_than_declared_is_no_warm_up(seed: int) -> None:
+    """One place read ten times: a warm-up had 0.94 to 1.00, as twenty readings had seemed to say what the noise is."""
+    noise = 7.4e-6 * np.random.default_rng(seed).normal(size=10)
+    columns = {"time": 600.0 * np.arange(10.0), "x": np.zeros(10), "gx": np.ones(10), "gy": np.zeros(10)}
+    columns |= {"gz": np.zeros(10), "displacement": noise}
+    found = diagnose(plates.session(columns, 1e-6, "none", ("EXX",), np.arange(10)))
     assert (found.verdict, found.accepted) == ("adequate", ())
 
 

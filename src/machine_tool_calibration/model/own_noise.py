@@ -17,6 +17,7 @@ from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, Int
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rounding import rounding_of
+from machine_tool_calibration.session.catalogue import spec_of
 
 # Component of a direction from which it is along an axis.
 _ALONG = 0.99
@@ -48,10 +49,11 @@ class OwnNoise:
 def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
     """From readings of the same place, direction and setup, outside what runs differ by; None where all are alike.
 
-    Repeats that agree better than `declared`, (n,) m, make no reading better.
+    Repeats that agree better than `declared`, (n,) m, make no reading better. Where one instrument reads all by its
+    beam or its touch, they differ only if that is sure; where a centre moves between the runs, nothing tells.
     """
-    ways = list(_ways(observations))
-    if not ways:
+    ways, spec = list(_ways(observations)), spec_of(observations.session)
+    if not ways or spec.centred:
         return None
     kept = _sound(observations, ways[-1][1], declared)
     deviation, left = _about_places(observations, kept)
@@ -64,6 +66,8 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])
     weights = softmax(logs)
+    if not spec.reads_machine and weights[0] > 1.0 - priors.SURE:
+        return None
     variance = weights[0] * pooled + weights[1:] @ np.array(variances)
     factor = np.sqrt(np.maximum(variance, 1.0))
     factor /= factor.min()
