@@ -10,7 +10,7 @@ import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots import residuals
-from machine_tool_calibration.plots.style import COLORS, Axes, Figure, name_axes, new_figure, save
+from machine_tool_calibration.plots.style import COLORS, Axes, Figure, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.words import say
 
@@ -120,7 +120,6 @@ def draw_map(comparison: Comparison) -> Figure:
     """
     observations = comparison.fit.model.observations
     residual, position = comparison.fit.residuals, observations.position
-    arrow = residual[:, None] * observations.direction
     same = residuals.repeat_groups(observations)
     if not np.abs(np.bincount(same, residual)).max(initial=0.0) > _CANCELLED * np.abs(residual).max(initial=0.0):
         same = np.arange(len(residual))  # the model is of the places themselves: its repeats alone differ
@@ -139,10 +138,8 @@ def draw_map(comparison: Comparison) -> Figure:
         panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=say("picture.residual_along", axis="xyz"[line]))
     else:
         figure = new_figure(6.4 * len(views), 6.0)
-        scaled = residuals.arrow_scale(position, arrow, same)
-        for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
-            residuals.draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
-            name_axes(panel, a, b)
+        for panel, plane in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
+            residuals.draw_arrows(panel, observations, residual, same, plane)
     figure.suptitle(say("picture.arrows"), fontsize=11, wrap=True)
     residuals.grids(figure)
     return figure

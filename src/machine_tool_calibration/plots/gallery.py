@@ -13,7 +13,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.files import save
 from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots import residuals
-from machine_tool_calibration.plots.style import Figure, name_axes, new_figure
+from machine_tool_calibration.plots.style import Figure, new_figure
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
@@ -66,13 +66,9 @@ def _draw_injected(injected: Injected) -> Figure:
         panels[-1].text(0.5, 0.5, say("picture.taken_up"), transform=panels[-1].transAxes, **where)
         panels[-1].set_axis_off()
     else:
-        place, residual = observations.position, comparison.fit.residuals
-        a, b = residuals.planes(place, observations.direction)[0]
-        arrow = residual[:, None] * observations.direction
+        plane = residuals.planes(observations.position, observations.direction)[0]
         same = residuals.repeat_groups(observations)
-        scaled = residuals.arrow_scale(place, arrow, same)
-        residuals.draw_arrows(panels[-1], place[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
-        name_axes(panels[-1], a, b)
+        residuals.draw_arrows(panels[-1], observations, comparison.fit.residuals, same, plane)
     residuals.grids(figure)
     return figure
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.plots.style import COLORS, Axes, Figure, round_down
+from machine_tool_calibration.plots.style import COLORS, Axes, Figure, name_axes, round_down
 from machine_tool_calibration.residuals.covariates import bins
 from machine_tool_calibration.words import named, say
 
@@ -61,29 +61,20 @@ def _means(values: Array, number: IntArray) -> Array:
     return np.column_stack([np.bincount(number, column) / count for column in values.T])
 
 
-def arrow_scale(position: Array, arrow: Array, same: IntArray) -> tuple[float, float]:
-    """Extent of the places and the length of an arrow that is as long as one may be, m, for panels side by side.
-
-    Places and arrows are (n, 3), m; readings that share an index in `same` (n,) repeat each other, and their mean is
-    drawn.
-    """
-    means = _means(arrow, same)
-    # The scale is that of the bulk: a single outlier may leave the panel.
-    long = float(np.quantile(np.linalg.norm(means, axis=1), 0.98))
-    return max(float(np.ptp(position, axis=0).max()), 1e-6), max(long, 1e-12)
-
-
 def draw_arrows(
-    panel: Axes, place: Array, arrow: Array, sign: Array, same: IntArray, *, scaled: tuple[float, float]
+    panel: Axes, observations: Observations, residual: Array, same: IntArray, plane: tuple[int, int]
 ) -> None:
-    """Arrows (n, 2), m, at places (n, 2), m, with a scale; red where `sign` (n,) is positive, else blue.
+    """Residuals (n,), m, as arrows along what each reading senses, seen in a plane; red where positive, else blue.
 
-    Readings that share an index in `same` (n,) repeat each other and are averaged; `scaled` is what `arrow_scale`
-    gives.
+    Readings that share an index in `same` (n,) repeat each other and are averaged. Panels of other planes have the
+    same scale.
     """
-    extent, long = scaled
-    place, arrow, sign = (_means(values, same) for values in (place, arrow, sign[:, None]))
-    sign = sign[:, 0]
+    arrows = residual[:, None] * observations.direction
+    place, arrow, sign = (_means(values, same) for values in (observations.position, arrows, residual[:, None]))
+    extent = max(float(np.ptp(observations.position, axis=0).max()), 1e-6)
+    # The scale is that of the bulk: a single outlier may leave the panel.
+    long = max(float(np.quantile(np.linalg.norm(arrow, axis=1), 0.98)), 1e-12)
+    place, arrow, sign = place[:, plane], arrow[:, plane], sign[:, 0]
     if len(place) > _ARROWS:
         keep = np.linspace(0, len(place) - 1, _ARROWS).astype(int)
         note = say("picture.places", n=_ARROWS, count=len(place))
@@ -101,6 +92,7 @@ def draw_arrows(
     panel.quiverkey(quiver, 0.94, 1.03, 1e3 * scale * shown, f"{1e6 * shown:g} µm", labelpos="W", color="0.2")
     panel.set_aspect("equal", adjustable="datalim")
     panel.margins(0.04)
+    name_axes(panel, *plane)
 
 
 def axis_label(name: str) -> tuple[str, float]:
