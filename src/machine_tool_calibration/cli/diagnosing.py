@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -189,16 +189,9 @@ def new_model_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--effect`, `--effects-file`, `--model` and `--keep` to a verb, as the keyword argument `wanted`."""
 
     @wraps(function)
-    def collected(
-        *,
-        effects: tuple[str, ...],
-        files: tuple[Path, ...],
-        model: str | None,
-        keep: tuple[str, ...],
-        from_history: bool = False,
-        **more: Any,
-    ) -> Any:
-        return function(wanted=Wanted(effects, files, model, keep, from_history), **more)
+    def collected(**given: Any) -> Any:
+        wanted = Wanted(**{one.name: given.pop(one.name) for one in fields(Wanted) if one.name in given})
+        return function(wanted=wanted, **given)
 
     return _new_model_options(collected)
 

@@ -77,16 +77,6 @@ class _Case:
     sizes: Array  # (s,) standard deviations of a change, all equally probable
 
 
-@dataclass(frozen=True)
-class _Weighed:
-    """A case after the values are known."""
-
-    steady: float  # logarithm of evidence times prior of the case without a change
-    changing: Array  # (c, s) of each change by a unit of its column times a coefficient, without the change's own prior
-    mean: Array  # mean, variance: (c, s) of that coefficient
-    variance: Array
-
-
 def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) -> Explanation:
     """Weigh explanations of a number in n sessions, by its ways of reading; among many it takes more for an alarm."""
     unit = float(np.median(u))
@@ -97,9 +87,10 @@ def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) 
     # Jumps and drifts are equally probable, and so are their dates.
     share = np.repeat([chance / 2.0 / jumps, chance / 2.0 / (len(columns) - jumps)], [jumps, len(columns) - jumps])
     cases = _cases(place.shape[1])
-    weighed = [_weigh(case, y, sigma, place, columns) for case in cases]
-    steady = np.array([one.steady for one in weighed]) + np.log1p(-chance)
-    changing = np.array([one.changing for one in weighed]) + np.log(share / len(_SIZES))[:, None]
+    weighed = zip(*(_weigh(case, y, sigma, place, columns) for case in cases), strict=True)
+    steady, changing, mean, variance = map(np.array, weighed)
+    steady += np.log1p(-chance)
+    changing += np.log(share / len(_SIZES))[:, None]
     total = logsumexp([logsumexp(steady), logsumexp(changing)])
     p_steady, p = np.exp(steady - total), np.exp(changing - total)
     each = p.sum(axis=(0, 2))
@@ -107,7 +98,7 @@ def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) 
 
     kind = slice(0, jumps) if jump >= drift else slice(jumps, None)
     weight = p[:, kind] / p[:, kind].sum()
-    mean, variance = (np.array([getattr(one, name)[kind] for one in weighed]) for name in ("mean", "variance"))
+    mean, variance = mean[:, kind], variance[:, kind]
     change = float((weight * mean).sum())
     first, last = _interval(begins[kind], weight.sum(axis=(0, 2)))
     of_case = p_steady + p.sum(axis=(1, 2))
@@ -137,8 +128,12 @@ def _cases(ways: int) -> list[_Case]:
     return out
 
 
-def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) -> _Weighed:
-    """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out."""
+def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) -> tuple[float, Array, Array, Array]:
+    """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out.
+
+    Logarithm of evidence times prior without a change; (c, s) of each change by a unit of its column times a
+    coefficient, without the change's own prior; (c, s) mean and variance of that coefficient.
+    """
     covariance = np.diag(sigma**2 + case.spread**2) + case.shift**2 * place @ place.T
     root = cholesky(covariance, lower=True)
     white = solve_triangular(root, np.column_stack([np.ones(len(y)), y, columns.T]), lower=True)
@@ -150,7 +145,7 @@ def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) ->
     gain = 1.0 + information * case.sizes**2
     variance = case.sizes**2 / gain
     changing = steady + (score**2 * variance - np.log(gain)) / 2.0
-    return _Weighed(float(steady), changing, score * variance, variance)
+    return float(steady), changing, score * variance, variance
 
 
 def _columns(days: Array) -> tuple[IntArray, Array]:
