@@ -39,10 +39,9 @@ class CirclePlan(Plan):
 
     @model_validator(mode="after")
     def _check(self) -> CirclePlan:
-        if len(set(self.planes)) < len(self.planes):
-            raise ValueError("planes names one twice")
-        if len(set(self.feeds)) < len(self.feeds):
-            raise ValueError("feeds names one twice")
+        for name, own in (("planes", self.planes), ("feeds", self.feeds)):
+            if len(set(own)) < len(own):
+                raise ValueError(f"{name} names one twice")
         return self
 
     def travel(self) -> dict[str, tuple[float, float]]:

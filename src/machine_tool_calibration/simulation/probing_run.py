@@ -264,11 +264,15 @@ class ProbingPlan(Plan):
         nodes, turns = self.nodes(), self.turns()
         x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes))
         grid = np.column_stack([x, y, np.zeros(len(x))])
+        # Of the table as the method finds it, with the axis average line's position and orientation.
+        origin, own = machine.on_table(np.zeros(3), turns), machine.motion("ECC", turns)
+        turned = own + machine.average_line.get("C0C", 0.0)
+        table = {"EXC": origin[:, 0].tolist(), "EYC": origin[:, 1].tolist(), "ECC": turned.tolist()}
         return {
             "workpiece_error": form.tolist(),
             "grid": grid[:, :2].tolist(),
             "position_error": machine.position_error(grid)[:, :2].tolist(),
-            "c_errors": {"c": turns.tolist(), **_table_errors(machine, turns)},
+            "c_errors": {"c": turns.tolist(), **table},
             "squareness": dict(machine.squareness),
         }
 
@@ -280,13 +284,3 @@ class ProbingPlan(Plan):
         true = float(machine.motion("EXX", end)[0] - machine.motion("EXX", np.zeros(1))[0])
         value = true + self.known_uncertainty * length_error
         return {"EXX": {"position": end.item(), "value": value, "standard_uncertainty": self.known_uncertainty}}
-
-
-def _table_errors(machine: VirtualMachine, angle: Array) -> dict[str, list[float]]:
-    """EXC and EYC with the axis average line's position in them, and ECC, as the method finds them."""
-    origin = machine.on_table(np.zeros(3), angle)
-    return {
-        "EXC": origin[:, 0].tolist(),
-        "EYC": origin[:, 1].tolist(),
-        "ECC": (machine.motion("ECC", angle) + machine.average_line.get("C0C", 0.0)).tolist(),
-    }

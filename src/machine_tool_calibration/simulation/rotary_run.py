@@ -127,8 +127,14 @@ class RotaryPlan(plan.Plan):
             return sight.path + disturbance.added(replace(sight, change=plan.since_first(sight.path, run)))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            targets = dict(zip(names, target.tolist(), strict=True))
-            return {**self._errors(machine), "stations": station.tolist(), "targets": targets}
+            at = np.unique(turns)
+            return {
+                "angles": at.tolist(),
+                "errors": {name: machine.motion(name, at).tolist() for name in motion_names(self.axis)},
+                "average_line": dict(machine.average_line),
+                "stations": station.tolist(),
+                "targets": dict(zip(names, target.tolist(), strict=True)),
+            }
 
         description = {
             "rotation_sign": self.sign,
@@ -137,15 +143,6 @@ class RotaryPlan(plan.Plan):
         }
         labels = {"target": np.array(names, dtype=object)[label]}
         return plan.Measurement(description, scene, read, run, labels=labels, truth=judged)
-
-    def _errors(self, machine: VirtualMachine) -> dict[str, Any]:
-        """What the measurement should find of the axis."""
-        at = np.unique(self.turns())
-        return {
-            "angles": at.tolist(),
-            "errors": {name: machine.motion(name, at).tolist() for name in motion_names(self.axis)},
-            "average_line": dict(machine.average_line),
-        }
 
 
 def _about(p: tuple[float, float, float], axis: str) -> plan.Vector3:
