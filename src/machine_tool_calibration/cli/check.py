@@ -56,7 +56,7 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     with progress_bar() as progress:
 
         def state(request: FitRequest, label: str) -> Statement:
-            progress(f"identifying {label}")
+            progress(f"identifying {label}", None)
             return of_fit(fitted_sessions(identify_sessions(request)), label, seed=seed, progress=progress)
 
         if is_logbook(earlier):

@@ -43,13 +43,13 @@ def command(
 
     chosen, written = wanted.open(measurements).chosen, list[Path]()
     with progress_bar() as progress:
-        progress("comparing")
+        progress("comparing", None)
         found = compare(chosen)
         if not isinstance(found, JointComparison):
             for name in against:
                 found.covariate(name)
         if output is not None or against:
-            progress("drawing")
+            progress("drawing", None)
             written = draw(found, output or Path(), against)
             written.append(write_table(found.residuals, Path(output or "", "comparison.csv"), found.provenance))
     note_written(written)

@@ -48,7 +48,7 @@ def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | N
     with shared.progress_bar() as progress:
         fits = []
         for own, label in zip(_measured(wanted, (first, second)), (one, two), strict=True):
-            progress(f"identifying {label}")
+            progress(f"identifying {label}", None)
             fits.append(Fit(Measurement(own.recorded, (label,)), identify_sessions(own.chosen), own.chosen))
         answer = fits[0].compare_map(fits[1], (one, two), seed=seed, progress=progress)
     shared.save_picture(answer.plot, plot)

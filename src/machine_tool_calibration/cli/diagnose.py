@@ -42,7 +42,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, details: bool, outpu
     with progress_bar() as progress:
         found, then = complete.diagnose(chosen, progress=progress)
         if output is not None:
-            progress("drawing")
+            progress("drawing", None)
             written = save_diagnosis(found, then.changes, output)
     note_written(written)
     answer = Diagnosis.of(found, concluded=then)

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.shared import FILE, PATH, Report, bar, note, options, session_labels
+from machine_tool_calibration.cli.shared import FILE, PATH, bar, note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.progress import untold
 
 if TYPE_CHECKING:
+    from machine_tool_calibration.budget.propagate import Progress
     from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.reports.identification import Measured
@@ -95,7 +97,7 @@ class Wanted:
     def fit(
         self,
         paths: Sequence[Path],
-        progress: Report,
+        progress: Progress,
         choose: Callable[[Measured], FitRequest] = lambda measured: measured.chosen,
         topics: dict[str, str] | None = None,
     ) -> Fit:
@@ -107,7 +109,7 @@ class Wanted:
         from machine_tool_calibration.interface.session import Measurement
 
         measured = self.open(paths, topics)
-        progress("identifying")
+        progress("identifying", None)
         measurement = Measurement(measured.recorded, tuple(session_labels(paths)))
         return fitted(measurement, choose(measured), measured.history)
 
@@ -220,7 +222,7 @@ workers_options = options(
 
 def fit_one(path: Path, wanted: Wanted, *, keep_all: bool = False) -> Fit:
     """Identify one of many sessions; the variant of the model is for those of methods that have it."""
-    return wanted.fit([path], lambda what, share=None: None, partial(_chosen, wanted, keep_all))
+    return wanted.fit([path], untold, partial(_chosen, wanted, keep_all))
 
 
 def _chosen(wanted: Wanted, keep_all: bool, measured: Measured) -> FitRequest:

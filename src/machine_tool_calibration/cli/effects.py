@@ -64,7 +64,7 @@ def _described(effect: Effect) -> Iterator[Part]:
     from machine_tool_calibration.reports.effect_page import coefficients_in_words, shown_table
 
     with progress_bar() as progress:
-        progress(f"simulating {effect.id}")
+        progress(f"simulating {effect.id}", None)
         found = where_it_shows(effect)
     enters = "displaces the functional point" if effect.kind == "position" else "changes the reading itself"
     lines = {

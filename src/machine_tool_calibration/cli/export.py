@@ -97,7 +97,7 @@ def command(
     asked = replace(wanted, model=None) if wanted.from_history else wanted
     with progress_bar() as progress:
         fit = asked.fit(measurements, progress, partial(_with_tables, wanted), topics)
-        progress("writing and reading tables")
+        progress("writing and reading tables", None)
         source = " + ".join(session.source for session in fit.measurement.sessions)
         found = compensation(fit.result, source, fit.chosen.own)
         made = found.exported(form)

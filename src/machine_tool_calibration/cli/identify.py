@@ -79,7 +79,7 @@ def command(
     with shared.progress_bar() as progress:
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
         if folder:
-            progress("drawing")
+            progress("drawing", None)
             written = [save(folder / "result.json", to_json(fit.document()) + "\n")] if output else []
             written += fit.save_pictures(folder)
         if table:

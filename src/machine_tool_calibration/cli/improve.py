@@ -82,7 +82,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
             failed.append(f"{error}; the models are not kept (--no-history does without)")
     folder = output or Path("mtcal_output", f"improve_{'+'.join(path.absolute().name for path in measurements)}")
     with shared.progress_bar() as progress:
-        progress("drawing")
+        progress("drawing", None)
         try:
             written = [*save_improvement(done, folder), *written]
         except CalibrationError as error:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
+    from machine_tool_calibration.budget.propagate import Progress
     from machine_tool_calibration.interface.show import Answer
     from machine_tool_calibration.session.provenance import Provenance
 
@@ -162,13 +163,6 @@ def console(*, stderr: bool = False) -> Console:
     return Screen(file=stream, width=width, highlight=False, emoji=False, markup=False)
 
 
-class Report(Protocol):
-    """Shows what is being done, and the share that is finished where that is known."""
-
-    def __call__(self, what: str, share: float | None = None, /) -> None:
-        """Show it."""
-
-
 @contextmanager
 def bar(begin: str, *, counted: bool = False) -> Iterator[Callable[..., None] | None]:
     """A progress bar on standard error, of how many of all where they are counted; None where that is no terminal.
@@ -179,21 +173,21 @@ def bar(begin: str, *, counted: bool = False) -> Iterator[Callable[..., None] | 
     if not screen.is_terminal:
         yield None
         return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich import progress as rich
 
-    words = TextColumn("{task.description}", markup=False)
-    count = [MofNCompleteColumn()] if counted else []
-    columns = (SpinnerColumn(), words, BarColumn(), *count, TimeElapsedColumn())
-    with Progress(*columns, console=screen, transient=True) as shown:
+    words = rich.TextColumn("{task.description}", markup=False)
+    count = [rich.MofNCompleteColumn()] if counted else []
+    columns = (rich.SpinnerColumn(), words, rich.BarColumn(), *count, rich.TimeElapsedColumn())
+    with rich.Progress(*columns, console=screen, transient=True) as shown:
         yield partial(shown.update, shown.add_task(begin, total=None))
 
 
 @contextmanager
-def progress_bar() -> Iterator[Report]:
+def progress_bar() -> Iterator[Progress]:
     """A progress bar on standard error; nothing where that is not a terminal."""
     with bar("reading") as update:
 
-        def report(what: str, share: float | None = None, /) -> None:
+        def report(what: str, share: float | None = None) -> None:
             if update is not None:
                 update(description=what, total=None if share is None else 1.0, completed=share or 0.0)
 
