@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session with a double ball bar: circles in planes of two axes, both ways round (ISO 230-4)."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -38,7 +36,7 @@ class CirclePlan(Plan):
     noise: Positive = 2e-7
 
     @model_validator(mode="after")
-    def _check(self) -> CirclePlan:
+    def _check(self) -> Self:
         for name, own in (("planes", self.planes), ("feeds", self.feeds)):
             if len(set(own)) < len(own):
                 raise ValueError(f"{name} names one twice")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error motions as smooth functions of one axis's position, random ones, and finite rotations exact to all orders."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

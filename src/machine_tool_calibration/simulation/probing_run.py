@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session of probing a part on the rotary table at several angles of C."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -28,7 +26,7 @@ class PartPoint(WorkpiecePoint):
     curvature: Finite = 0.0  # of the surface, 1/m: positive for a pin, negative for a hole
 
     @model_validator(mode="after")
-    def _check(self) -> PartPoint:
+    def _check(self) -> Self:
         if abs(np.hypot(*self.normal) - 1.0) > 1e-6:
             raise ValueError(f"the normal of point {self.id} must have length 1")
         return self
@@ -176,7 +174,7 @@ class ProbingPlan(Plan):
     sign: Literal[-1, 1] = -1
 
     @model_validator(mode="after")
-    def _check(self) -> ProbingPlan:
+    def _check(self) -> Self:
         grid = self.nodes()
         if np.any(np.diff(grid) <= 0):
             raise ValueError("grid must increase")

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session on a rotary axis: stations that look at targets on the table (sequential multilateration)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -63,7 +61,7 @@ class RotaryPlan(plan.Plan):
     chain: str = ""
 
     @model_validator(mode="after")
-    def _check(self) -> RotaryPlan:
+    def _check(self) -> Self:
         unknown = [name for name in self.hidden if name not in self.marks()]
         if unknown:
             raise ValueError(f"hidden names target {unknown[0]!r}, which is none of {', '.join(self.marks())}")

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session with a tracking interferometer at several stations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -59,7 +57,7 @@ class TrackingPlan(plan.Plan, Pointer):
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
 
     @model_validator(mode="after")
-    def _check(self) -> TrackingPlan:
+    def _check(self) -> Self:
         if self.points is not None and (self.x or self.y or self.z):
             raise ValueError("give either points or the grid x, y, z")
         if self.stations is not None and not self.stations:
