@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of the fleet, one HTML file that holds all it needs, and all machines in one picture."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from machine_tool_calibration.files import save
 from machine_tool_calibration.fleet.fleet import effects_table, fleet_line, machines_table, problems_table, states_table
 from machine_tool_calibration.fleet.machines import CAUSES, Machine, Machines
-from machine_tool_calibration.plots.style import COLORS, MARKERS, NOMINAL, new_figure
+from machine_tool_calibration.plots.style import COLORS, MARKERS, NOMINAL, Axes, Figure, new_figure
 from machine_tool_calibration.plots.trend import draw_trend
 from machine_tool_calibration.report.figures import Picture
 from machine_tool_calibration.report.page import rendered
@@ -21,10 +18,6 @@ from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import SOFTWARE
 from machine_tool_calibration.version import __version__
 from machine_tool_calibration.words import Verbatim, Words, say
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _DRAWN, _NUMBERS = 12, 3  # machines whose changes are drawn, and numbers of each
 
