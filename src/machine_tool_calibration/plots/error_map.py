@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map of position errors: measured against nominal places, errors magnified, as in the papers' figures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -110,9 +108,9 @@ class _Map:
         """Points that are determined."""
         return np.asarray(np.isfinite(self.error).all(axis=1))
 
-    def take(self, keep: BoolArray) -> _Map:
+    def take(self, keep: BoolArray) -> Self:
         """Some of the points."""
-        return _Map(self.points[keep], self.error[keep], self.uncertainty[keep])
+        return replace(self, points=self.points[keep], error=self.error[keep], uncertainty=self.uncertainty[keep])
 
 
 def draw_plane(content: Mapping[str, Any]) -> Figure:

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The virtual machine tool: where the tool really is, by rigid bodies composed with real rotations."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -148,7 +147,7 @@ class VirtualMachine:
         origin = self.on_table(np.zeros(3), angle, axis, shift)
         return np.asarray(self.on_table(vector, angle, axis, shift) - origin)
 
-    def with_errors(self, tables: Iterable[tuple[str, Table]], squareness: Mapping[str, float]) -> VirtualMachine:
+    def with_errors(self, tables: Iterable[tuple[str, Table]], squareness: Mapping[str, float]) -> Self:
         """The same machine with further error motions (`EXX`, table) and squareness errors, rad, added."""
         motions = dict(self.motions)
         for name, table in tables:
@@ -156,7 +155,7 @@ class VirtualMachine:
             motions[axis] = AxisMotion(axis, (*motions.get(axis, AxisMotion(axis)).tables, (name, table)))
         return replace(self, motions=motions, squareness=summed(self.squareness, squareness))
 
-    def tabulated(self, nodes: Mapping[str, tuple[float, ...]]) -> VirtualMachine:
+    def tabulated(self, nodes: Mapping[str, tuple[float, ...]]) -> Self:
         """The machine whose motions of these axes are linear between nodes, where they keep their values."""
         motions = dict(self.motions)
         for axis, at in nodes.items():

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one window works on: the measurement, the models that were tried on the way, and the one in use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import entry_of
@@ -44,7 +42,7 @@ class Job:
     work: Callable[[Progress], Any]
     take: Callable[[Any], None]  # shows the outcome
 
-    def then(self, act: Callable[[], object]) -> Job:
+    def then(self, act: Callable[[], object]) -> Self:
         """The same, with something done after the outcome has been shown."""
 
         def take(found: Any) -> None:
