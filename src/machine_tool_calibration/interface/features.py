@@ -13,7 +13,7 @@ from machine_tool_calibration.coverage import COVERAGE
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
 from machine_tool_calibration.methods.probing.features import MonteCarlo
-from machine_tool_calibration.methods.probing.geometry import Circle, Element
+from machine_tool_calibration.methods.probing.geometry import Circle
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, ROUNDING, decimals, fixed, quantity
@@ -98,10 +98,13 @@ class Features(Answer, Found):
             if drawn is not None:
                 entry["draws"] = {"standard_uncertainty": row["u_draws"], "interval": [row["low"], row["high"]]}
             quantities.append(entry)
+        # Pins, discs and spheres are circles.
+        kinds = [("hole" if one.hole else "circle") if isinstance(one, Circle) else "line" for one in self.elements]
+        named = zip(self.elements, kinds, strict=True)
         document: dict[str, Any] = {
             "format": "mtcal-features/1",
             "datum": self.datum,
-            "features": [{"name": one.name, "kind": _kind(one), "points": len(one.index)} for one in self.elements],
+            "features": [{"name": one.name, "kind": kind, "points": len(one.index)} for one, kind in named],
             "left_out": [{"name": name, "why": why} for name, why in self.left_out.items()],
             "quantities": quantities,
             "covariance": self.uncertainty_matrix,
@@ -114,10 +117,3 @@ class Features(Answer, Found):
     @property
     def _names(self) -> list[str]:
         return [asked.name for asked in self.quantities]
-
-
-def _kind(one: Element) -> str:
-    """Circle (pin, disc or sphere), hole or line."""
-    if not isinstance(one, Circle):
-        return "line"
-    return "hole" if one.hole else "circle"

@@ -243,11 +243,8 @@ def _next(advice: Advice) -> TextTable:
 
 
 def _detectable(diagnosis: Diagnosis) -> TextTable:
-    rows = []
-    for found in diagnosis.search.findings:
-        if sizes := smallest_sizes(found):
-            rows.append((found.name, *_smallest(found, sizes)))
-    rows.sort()
+    every = diagnosis.search.findings
+    rows = sorted((found.name, *_smallest(found, sizes)) for found in every if (sizes := smallest_sizes(found)))
     return TextTable(say("found.detectable"), heads("effect", "smallest", "occurs"), tuple(rows))
 
 

@@ -14,7 +14,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.result import Result, fit_quality, only_if_right, scatter_p_value
+from machine_tool_calibration.model.result import Result, fit_quality, map_rms, only_if_right, scatter_p_value
 from machine_tool_calibration.reports.goodness import (
     each_words,
     effect_words,
@@ -90,9 +90,9 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
         told = str(count) if places == count else say("result.points_at", n=places, count=count)
         rows.append((say("result.points"), told))
         text = say("text.not_determined")
-        expanded = (K * _rms(uncertainty), K * _largest(uncertainty)) if known else (None, None)
+        expanded = (K * (map_rms(uncertainty) or 0.0), K * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
-            sizes = zip((_rms(error), _largest(error)), expanded, strict=True)
+            sizes = zip((map_rms(error) or 0.0, _largest(error)), expanded, strict=True)
             text = _lost(_rms_and_most(as_exact(size, "m", u) for size, u in sizes), error)
         rows.append((say("result.position_error"), text))
         if known:
@@ -152,11 +152,6 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = say("result.lost_values", text=text, n=int((~good).sum()), count=len(good))
         out.append((title, text))
     return out
-
-
-def _rms(vectors: np.ndarray) -> float:
-    known = vectors[np.isfinite(vectors).any(axis=1)]
-    return float(np.sqrt(np.mean(np.nansum(known**2, axis=1))))
 
 
 def _largest(vectors: np.ndarray) -> float:
