@@ -29,8 +29,8 @@ _FAR, _NEAR = 2.5, 0.9776
 _NO_NOISE = 10.0
 # Degrees of freedom of a group below which it has the scatter of all; share by which noises are the same.
 _FEWEST, _ALIKE = 2.0, 0.01
-# Readings again in a run from which it tells what it differs by.
-_IN_A_RUN = 3
+# Readings again in a run from which it tells what it differs by, and from which by slope and bow as well.
+_IN_A_RUN, _IN_A_LONG_RUN = 3, 5
 # Variances over that of all, and their prior: half of them within a factor of four.
 _LOG_VARIANCES = np.linspace(-12.0, 12.0, 97)
 _LOG_PRIOR = -np.log1p((_LOG_VARIANCES / np.log(4.0)) ** 2)
@@ -99,17 +99,23 @@ def _about_places(observations: Observations, kept: BoolArray) -> tuple[Array, A
     """(n,) deviations of readings from others of the same thing, m, and the share of each that tells of it.
 
     Outside what runs of a direction differ by, which is no noise of a reading; of those that are `kept` (n,) alone.
+    Where one instrument reads all in turn, its runs differ by slopes and bows, too.
     """
+    drifts = not spec_of(observations.session).reads_machine
     place, values = observations.place, observations.readings.displacement
-    run = groups(observations.readings.repeat_of_setup, np.abs(observations.direction).argmax(axis=1))
+    sense = 0 * place if drifts else np.abs(observations.direction).argmax(axis=1)
+    run = groups(observations.readings.repeat_of_setup, sense)
     count = np.bincount(place, kept)
     again = kept & (count[place] > 1)
     mean = np.bincount(place, kept * values) / np.maximum(count, 1.0)
-    off = np.where(again, values - mean[place], 0.0)
-    repeated = np.bincount(run, again)
-    differs = again & (repeated[run] >= _IN_A_RUN)
-    off -= np.where(differs, (np.bincount(run, off) / np.maximum(repeated, 1.0))[run], 0.0)
-    of_run = np.where(differs, 1.0 / np.maximum(repeated[run], 1.0), 0.0)
+    off, of_run = np.where(again, values - mean[place], 0.0), np.zeros(len(values))
+    order = np.flatnonzero(again)[np.argsort(run[again], kind="stable")]
+    for mine in np.split(order, np.flatnonzero(np.diff(run[order])) + 1):
+        if len(mine) >= _IN_A_RUN:
+            degree = len(priors.SERIES) - 1 if drifts and len(mine) >= _IN_A_LONG_RUN else 0
+            smooth = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(mine)), degree))[0]
+            off[mine] -= smooth @ (smooth.T @ off[mine])
+            of_run[mine] = np.sum(smooth**2, axis=1)
     return off, np.where(again, np.maximum(1.0 - 1.0 / np.maximum(count[place], 1.0) - of_run, 0.0), 0.0)
 
 
