@@ -15,6 +15,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
+from machine_tool_calibration.methods.build import vaguest
 from machine_tool_calibration.methods.tracking import datum
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
@@ -233,9 +234,6 @@ def _known_places(model: TrackingModel) -> Iterator[Prior]:
         yield Prior(weights, 0.0, float(model.known[k]))
 
 
-# Standard uncertainty above which a position error counts as not determined, m; and that of readings which are known
-# no better than a tenth of it, over what these scatter by.
-_VAGUE, _VAGUE_READINGS = 1e-4, 10.0
 # Stations lie in a plane or on a line where their least extent is below this share of the largest.
 _FLAT = 0.05
 
@@ -341,8 +339,7 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
     own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
     own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
-    # A direction known no better than this says nothing of a machine, and a linear fit little of it.
-    most = max(_VAGUE, _VAGUE_READINGS * fit.joint.birge_ratio * model.observations.session.sigma)
+    most = vaguest(fit)
     vague = uncertainty > most
     error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
     covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
