@@ -315,3 +315,5 @@ def test_a_coefficient_whose_sign_is_a_convention_is_looked_for_on_both_sides() 
     assert Coefficient("b", "m", -1e-5, 2e-5).least == -1e-5
     (backlash,) = find_effects(["backlash_x"])[0].coefficients
     assert backlash.low == 0.0 and backlash.least == -backlash.high
+    for effect in catalogue().values():
+        assert all(coefficient.low == 0.0 for coefficient in effect.coefficients if coefficient.by_convention)

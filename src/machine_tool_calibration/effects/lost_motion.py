@@ -43,7 +43,7 @@ class LostMotion(ReversalEffect):
             0.0 if k == 0 else -5e-5,
             5e-5,
             say("coefficient.half_width_of", shape=_shape(k)),
-            by_convention=True,
+            by_convention=k == 0,
         )
         for k in range(LOST_MOTION_DEGREES + 1)
     )
