@@ -41,8 +41,8 @@ class Memory:
         return float(self.probability @ per_independent(_RHO))
 
     def log_evidence_of(self, k: float) -> float:
-        """Logarithm of the likelihood of a memory by which k readings tell as much as an independent one."""
-        return float(np.interp((k - 1.0) / (k + 1.0), _RHO, self.log_evidence))
+        """Logarithm of the evidence of a memory by which k readings tell as much as one, with its prior."""
+        return float(np.interp((k - 1.0) / (k + 1.0), _RHO, self.log_evidence) + np.log(_PRIOR[int(k > 1.0)]))
 
 
 def per_independent(correlation: Array) -> Array:
