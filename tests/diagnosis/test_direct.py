@@ -495,6 +495,7 @@ def test_ten_readings_that_scatter_far_more_than_declared_have_no_cause() -> Non
     assert (found.verdict, found.accepted) == ("adequate", ())
 
 
+@pytest.mark.long(but=("1023",))
 @pytest.mark.parametrize("seed", [1021, 1023, 1025])
 def test_noise_that_is_larger_than_declared_is_no_warm_up(seed: int) -> None:
     """One place read ten times: a warm-up had 0.94 to 1.00, as twenty readings had seemed to say what the noise is."""

@@ -29,6 +29,7 @@ def run_over(seed: int, *, drift: float = 0.0, slopes: float = 0.0, timed: bool 
     )
 
 
+@pytest.mark.long(but=("1",))
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_backlash_and_a_drift_together(seed: int) -> None:
     """Either alone leaves runs that differ, for which their spread stood; with a wrong size of the backlash."""
@@ -39,6 +40,7 @@ def test_a_backlash_and_a_drift_together(seed: int) -> None:
     assert abs(r.value - DRIFT) < 3.0 * r.standard_uncertainty < DRIFT
 
 
+@pytest.mark.long(but=("1",))
 @pytest.mark.parametrize("seed", [1, 2])
 def test_runs_with_slopes_of_their_own_and_no_time(seed: int) -> None:
     found = diagnose(run_over(seed, slopes=2e-5, timed=False))

@@ -57,6 +57,7 @@ def with_gross_errors(session: Session, share: float, seed: int) -> tuple[Sessio
     return session.with_readings(changed), {int(row) for row in readings.row[hit]}
 
 
+@pytest.mark.long(but=("5",))
 @pytest.mark.parametrize("seed", [5, 7])
 def test_a_gross_error_of_a_straight_machine_is_no_angular_error(seed: int) -> None:
     """Each place read once: small angles that are drawn from wrong readings too would explain them."""
@@ -121,6 +122,7 @@ def test_wrong_readings_at_the_ends_where_the_reversal_varies_along_the_axis(see
     assert [one.row for one in found.set_aside[0]] == [50, 0, 68]
 
 
+@pytest.mark.long(but=("24-0.06", "50-0.03"))
 @pytest.mark.parametrize(("places", "length"), [(15, 0.06), (24, 0.03), (24, 0.06), (50, 0.03)])
 def test_a_steep_end_that_was_read_once_loses_no_reading(places: int, length: float) -> None:
     """A table with a node for two places does not follow it; a wrong reading bends the other way than those beside."""
@@ -333,6 +335,7 @@ def test_position_errors_of_centimetres_are_refused() -> None:
     assert np.nanmax(np.abs(identify(trusted, keep_all=True).error_map.error)) > 0.01
 
 
+@pytest.mark.long(but=("tracking_2d", "step_diagonal"))
 @pytest.mark.parametrize("name", ["tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal"])
 def test_a_counter_that_lost_its_count_at_the_end_of_a_setup(name: str) -> None:
     """Readings that stay off together by millimetres are no course of the run."""
@@ -346,6 +349,7 @@ def test_a_counter_that_lost_its_count_at_the_end_of_a_setup(name: str) -> None:
     assert {o.row for o in found if not o.ambiguous} == {int(row) for row in session.readings.row[last]}
 
 
+@pytest.mark.long(but=("5-8e-06",))
 @pytest.mark.parametrize(("length", "size"), [(4, 40e-6), (5, 8e-6), (10, 8e-6)])
 def test_a_burst_of_wrong_readings_is_no_course_of_the_run(length: int, size: float) -> None:
     """Something is in the beam for a minute; a reversal of the axis for as long is left alone."""
