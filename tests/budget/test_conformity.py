@@ -308,6 +308,7 @@ def test_tolerances_as_people_state_them(tmp_path: Path) -> None:
         ("EXX=ten", "tolerance of EXX: 'ten' is not a number with a unit"),
         ("EXX=10urad", "tolerance of EXX: '10urad' is not of the dimension length"),
         ("C0Y=10um", "tolerance of C0Y: '10um' is not of the dimension angle"),
+        ("EXX=10m", "the tolerance of EXX is 10 m, which no machine needs$"),
     ],
 )
 def test_mistakes_on_the_command_line(text: str, message: str) -> None:
@@ -321,6 +322,10 @@ def test_mistakes_on_the_command_line(text: str, message: str) -> None:
         ("format: mtcal-tolerances/1\ntolerances: {EXX: [1]}\n", "line 2: tolerances.EXX"),
         ("format: mtcal-tolerances/1\ntolerances: {EXX: 3}\nrule: x\n", "line 3: unknown key 'rule'"),
         ("format: mtcal-tolerances/1\ntolerances: {C0Y: 3 um}\n", "C0Y: '3 um' is not of the dimension angle"),
+        (
+            "format: mtcal-tolerances/1\ntolerances: {C0Y: 10}\n",
+            "machine needs; a number is in rad: .* as in 10urad",
+        ),
     ],
 )
 def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:

@@ -18,6 +18,7 @@ from machine_tool_calibration.diagnosis.search.structure import structure_candid
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice
@@ -25,7 +26,7 @@ from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, MachineSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import say
 
 from .. import plates
@@ -557,3 +558,17 @@ def test_what_goes_with_the_time_may_go_with_a_temperature_that_was_not_recorded
     assert recorded or any(found.search.of(name).candidate.takes_time for name in found.accepted)
     told = [str(words) for words in verdict_words(found, {}, Advice()) if "diagnosis.unrecorded" in keys(words)]
     assert [("temperature_x" in words) for words in told] == ([] if recorded else [True])
+
+
+@pytest.mark.parametrize("tau", [600.0, 1500.0])
+def test_a_screw_that_is_slower_than_the_session_has_its_size_and_its_name(tau: float) -> None:
+    """Nine minutes of it: the time constant had ended with them, and thermal expansion stood for it, too large."""
+    grown = FlawSpec(id="screw_growth_x", size=8e-5, parameters={"tau": tau})
+    plan = PRESETS["iso230_2"].model_copy(update={"repeats": 5})
+    spec = SimulationSpec(plan=plan, machine=MachineSpec(seed=1), effects=(grown,), environment_swing=0.5, seed=4)
+    session = simulate(spec).session
+    sizes = {p.name: p for p in identify(session, effects=("screw_growth_x",)).parameters}
+    for name, true in (("s", 8e-5), ("tau", tau)):
+        found = sizes[f"screw_growth_x.{name}"]
+        assert abs(found.value - true) < 2.0 * found.standard_uncertainty < true
+    assert diagnose(session).accepted == ("screw_growth_x",)

@@ -22,12 +22,15 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.planning.what_to_measure import Advice
+from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.collect import Reading, live_session
 from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.gaps import filled
+from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session, refuse_repeated
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.spec import PLANS
@@ -381,3 +384,12 @@ def test_no_direction_where_an_axis_stood_still_is_no_opposite_one() -> None:
     columns = {**session.readings.columns, "dir_y": np.sign(np.diff(y, prepend=y[:1]))}
     seen = session.with_readings(replace(session.readings, columns=columns))
     assert not any("opposite" in words for words in suspicions([seen]))
+
+
+def test_readings_that_a_recording_lacks_are_told_by_the_numbers_of_the_others(sound: Session) -> None:
+    names, table = reading_columns(sound)
+    kept = [Reading(names, row) for k, row in enumerate(table) if k not in (5, 6)]
+    live = live_session(description_yaml(sound.description), kept)
+    assert live.lost == 2
+    assert suspicions([live]) == ["2 readings before the last one are missing, by their numbers"]
+    assert live_session(description_yaml(sound.description), [Reading(names, row) for row in table]).lost == 0

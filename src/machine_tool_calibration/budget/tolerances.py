@@ -16,6 +16,7 @@ from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.units import quantity
 
 FORMAT = "mtcal-tolerances/1"
+_LARGEST = 0.1  # m or rad: a tolerance beyond is of another unit
 
 
 class _File(Record):
@@ -56,4 +57,8 @@ def tolerance(name: str, value: float | str, source: str = "") -> float:
     found = quantity(value, wanted, f"{source}tolerance of {name}") if isinstance(value, str) else float(value)
     if not found > 0.0:
         raise ModelError(f"{source}the tolerance of {name} must be positive, not {found:g}")
+    if found > _LARGEST:
+        unit, small = ("rad", "urad") if wanted == "angle" else ("m", "um")
+        given = "" if isinstance(value, str) else f"; a number is in {unit}: write the unit, as in {found:g}{small}"
+        raise ModelError(f"{source}the tolerance of {name} is {found:g} {unit}, which no machine needs{given}")
     return found

@@ -39,6 +39,8 @@ _REPEATED = 1e-7
 _LEAST_SHARE_LEFT = 1e-6
 # Squared norm of a column, over the largest of its effect, below which it is the computer's rounding.
 _ROUNDING = 1e-20
+# Times the longest time constant that is tried up to which one is looked for.
+_BEYOND = 16.0
 _TAKEN_UP = say("undetermined.taken_up")
 
 
@@ -85,8 +87,9 @@ def common_shape(
 ) -> tuple[tuple[float, ...], list[Array]]:
     """Nonlinear coefficients with which an effect explains most of the residuals of one or several sessions.
 
-    A grid first, as there are several minima, then a search around its best value. Also, for each session, the linear
-    ones there; none where the effect does not act. A ModelError if the grid is empty.
+    A grid first, as there are several minima, then a search around its best value; a time constant may be longer than
+    the session, which the grid ends with. Also, for each session, the linear ones there; none where the effect does not
+    act. A ModelError if the grid is empty.
     """
     if not grid:
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
@@ -103,6 +106,8 @@ def common_shape(
     ordered = sorted(s[0] for s in grid)
     place = ordered.index(grid[best][0])
     low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
+    if high == ordered[place] and effect.shapes[0].unit == "s":
+        high = min(_BEYOND * high, effect.shapes[0].high)
     from scipy import optimize  # slow to load, and few effects need it
 
     found = optimize.minimize_scalar(
@@ -115,6 +120,11 @@ def common_shape(
         return grid[best], sizes[best]
     shape = (float(found.x),)
     return shape, explained([shape])[1][0]
+
+
+def within_grid(shape: tuple[float, ...], grid: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+    """Nonlinear coefficients that are no larger than the largest of those tried: a time constant, than the session."""
+    return min(shape, max(grid))
 
 
 def _more_than_rounding(squares: Array) -> Array:
@@ -255,33 +265,47 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     terms, taken_up = _determined_columns(bare, [effect_term(effect, observations) for effect in linear])
     terms, repeated = _without_repeated_columns(bare, terms)
     base = replace(model, left_out=model.left_out + absorbed + taken_up + repeated).with_terms(terms)
-    shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
+    shapes: dict[str, tuple[tuple[float, ...], Array | None]] = {}
+    grids = {effect.id: effect.shape_grid(observations) for effect in curved}
     # One after the other, and once more each with the others at their best.
     for _ in range(2 if len(curved) > 1 else 1):
         for effect in curved:
             others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
             fit = fit_models([base.with_terms(others)]).fits[0]
-            shape, found = common_shape(fit.joint, effect, effect.shape_grid(observations))
+            shape, found = common_shape(fit.joint, effect, grids[effect.id])
             shapes[effect.id] = shape, found[fit.index]
     full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
     moving = [effect for effect in curved if not all(shape.discrete for shape in effect.shapes)]
     fitted = fit_models([full]).fits[0].joint if moving else None
-    loose = {effect.id: names for effect in moving if fitted and (names := unbounded(fitted, effect))}
+    loose = {effect.id for effect in moving if fitted and unbounded(fitted, effect)}
     if loose:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
-        why = say("undetermined.not_bounded")
-        sizes = {name: None if name in loose else size for name, (_, size) in shapes.items()}
-        held = [effect_term(effect, observations, shapes[effect.id][0], sizes[effect.id]) for effect in curved]
-        left = tuple(NotDetermined(name, why, effect) for effect, names in loose.items() for name in names)
+        shapes |= {name: (within_grid(shapes[name][0], grids[name]), None) for name in loose}
+        held = [effect_term(effect, observations, *shapes[effect.id]) for effect in curved]
+        left = tuple(
+            one
+            for effect in moving
+            if effect.id in loose
+            for one in held_at(effect, observations, shapes[effect.id][0])
+        )
         full = replace(base, left_out=base.left_out + left).with_terms(held)
     return full.reestimated()
 
 
-def unbounded(fit: JointFit, effect: Effect) -> list[str]:
-    """Nonlinear coefficients of an effect in the fit that come out impossible, or less certain than they are large."""
+def held_at(effect: Effect, observations: Observations, shape: tuple[float, ...]) -> tuple[NotDetermined, ...]:
+    """Nonlinear coefficients of an effect that are held, and at what."""
+    return tuple(
+        NotDetermined(f"{effect.id}.{c.name}", say("undetermined.held_at", value=f"{value:.3g} {c.unit}"), effect.id)
+        for c, value in zip(effect.shapes_for(observations), shape, strict=True)
+        if not c.discrete
+    )
+
+
+def unbounded(fit: JointFit, effect: Effect) -> bool:
+    """Whether a nonlinear coefficient of an effect in the fit comes out impossible, or less certain than large."""
     wanted = {f"{effect.id}.{s.name}" for s in effect.shapes if not s.discrete}
     # By least squares, and as they are published: with what does not reproduce, and what is known of effects' sizes.
-    ways, out = ((fit.solution, fit.birge_ratio), (fit.published, 1.0)), []
+    ways = ((fit.solution, fit.birge_ratio), (fit.published, 1.0))
     for k, parameter in enumerate(fit.assembly.parameters):
         if parameter.name in wanted:
             moved = [float(solution.theta[k]) for solution, _ in ways]
@@ -289,5 +313,5 @@ def unbounded(fit: JointFit, effect: Effect) -> list[str]:
             known = zip(moved, u, strict=True)
             sure = all(parameter.reference + m > s and abs(m) <= abs(parameter.reference) for m, s in known)
             if not (fit.solution.determined[k] and sure):
-                out.append(parameter.name)
-    return out
+                return True
+    return False

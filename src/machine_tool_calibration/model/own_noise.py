@@ -61,7 +61,9 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
     logs, variances = [np.log1p(-priors.OWN_NOISE)], list[Array]()
     for _, group, _ in ways:
         values = [observations.readings.displacement[group == k] for k in range(1 + int(group.max()))]
-        least = np.array([rounding_of(own) for own in values]) / rms(declared)
+        # Paths on a grid of places look rounded to it.
+        digits = np.array([rounding_of(own) if spec.reads_machine else 0.0 for own in values])
+        least = digits / rms(declared)
         log_evidence, pooled, variance = _of_groups(deviation, left, group, least)
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])

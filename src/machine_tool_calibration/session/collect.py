@@ -71,7 +71,9 @@ class Collector:
     def session(self, source: str, *, check: bool = True) -> Session:
         """What was collected so far, checked whether it is enough; a SessionError as for a session folder."""
         numbers = self._columns()
-        labels: dict[str, np.ndarray] = {}
+        index, labels = numbers.pop(READING_INDEX, np.zeros(0)), dict[str, np.ndarray]()
+        numbered = index[np.isfinite(index)]
+        lost = int(numbered.max()) + 1 - len(np.unique(numbered)) if len(numbered) == len(self) else 0
         for column, (label, key) in INDEX_COLUMNS.items():
             entries = getattr(self.description, key, None)
             if column in numbers and entries is not None:
@@ -79,7 +81,8 @@ class Collector:
         if "setup" not in labels:
             raise SessionError(f"{self._place.readings}: the column 'setup_index' is missing")
         require_columns(self.description, [*numbers, *labels], self._place.readings)
-        session = Session(self.description, assemble(self.description, numbers, labels, self._place), source)
+        readings = assemble(self.description, numbers, labels, self._place)
+        session = Session(self.description, readings, source, lost=max(lost, 0))
         if check:
             check_session(session, self._place)
         return session
@@ -102,7 +105,6 @@ class Collector:
             for name, values in zip(names, table.T, strict=True):
                 columns[name][start : start + len(table)] = values
             start += len(table)
-        columns.pop(READING_INDEX, None)
         return columns
 
     def _labels(self, column: str, values: Array, ids: list[str]) -> np.ndarray:

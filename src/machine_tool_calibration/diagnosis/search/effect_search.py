@@ -235,10 +235,14 @@ def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: 
 
 def _signal(columns: Columns, found: Posterior, k: int) -> Array:
     """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
+    return np.asarray(_coefficients(columns, found, k) @ columns.blocks[found.point_of(k).block].shaped.every)
+
+
+def _coefficients(columns: Columns, found: Posterior, k: int, without: Sequence[int] = ()) -> Array:
+    """(j,) by which it does, also without some of these others."""
     point = found.point_of(k)
-    block = columns.blocks[point.block]
-    marginal = found.marginal_with([other for other in found.best if other != k] if k in found.best else [])
-    return np.asarray(posterior_of(marginal, block, point)[0] @ block.shaped.every)
+    others = [other for other in found.best if other != k and other not in without] if k in found.best else []
+    return posterior_of(found.marginal_with(others), columns.blocks[point.block], point)[0]
 
 
 def _without_cause(columns: Columns, found: Posterior, k: int) -> tuple[Array, Array]:
@@ -311,7 +315,7 @@ def _head(columns: Columns, group: Sequence[int], found: Posterior, accepted: Se
     alike = [k for k in group if size[k] <= size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
     kind = {k: columns.candidates[k].kind for k in alike}
     first = {kind[k]: k for k in sorted(alike, reverse=True)}  # of those that differ by their axis none is commoner
-    return min(alike, key=lambda k: (_is_unusual(columns, found, k), first[kind[k]], -probability[k], k))
+    return min(alike, key=lambda k: (_is_unusual(columns, found, k, group), first[kind[k]], -probability[k], k))
 
 
 def _free(candidate: Candidate) -> int:
@@ -319,12 +323,15 @@ def _free(candidate: Candidate) -> int:
     return len(candidate.shapes[0].columns) + sum(not shape.discrete for shape in candidate.nonlinear)
 
 
-def _is_unusual(columns: Columns, found: Posterior, k: int) -> bool:
-    """Whether a candidate is larger than usual."""
+def _is_unusual(columns: Columns, found: Posterior, k: int, group: Sequence[int]) -> bool:
+    """Whether a candidate is larger than usual, or than its limits, where it stands for all of a group."""
     if k not in found.single.best:
         return False
     point = found.point_of(k)
-    return bool(columns.blocks[point.block].is_unusual(np.array(point.scale)))
+    block = columns.blocks[point.block]
+    own = slice(len(block.shaped.columns))
+    size = priors.BEYOND * _coefficients(columns, found, k, group)[own]
+    return bool(((size < block.low[own]) | (size > block.high[own])).any() or block.is_unusual(np.array(point.scale)))
 
 
 def _absorbed(columns: Columns) -> tuple[Absorbed, ...]:

@@ -16,7 +16,14 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.effect_terms import common_shape, effect_term, unbounded, without_absorbed
+from machine_tool_calibration.effects.effect_terms import (
+    common_shape,
+    effect_term,
+    held_at,
+    unbounded,
+    within_grid,
+    without_absorbed,
+)
 from machine_tool_calibration.effects.error_motion import sensed_lever_arms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import Linearised
@@ -27,7 +34,7 @@ from machine_tool_calibration.methods.joint.between_nodes import curves_seen
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import WAVES_NODES
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, assemble, weight_row
+from machine_tool_calibration.model.model import Constraint, MethodModel, assemble, weight_row
 from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
@@ -307,18 +314,13 @@ def _extended(
 def _with_curved(models: list[MethodModel], labels: Sequence[str], effect: Effect) -> list[MethodModel]:
     """The models with an effect whose nonlinear coefficients are those with which all sessions together fit best."""
     observed = [m.observations for m in models if effect.why_not(m.observations) is None]
-    shape, sizes = common_shape(fit_models(models, labels), effect, effect.shape_grid(together(observed)))
-    fixed = _extended(models, effect, shape)
+    grid = effect.shape_grid(together(observed))
+    shape, sizes = common_shape(fit_models(models, labels), effect, grid)
     if all(coefficient.discrete for coefficient in effect.shapes):
-        return fixed
+        return _extended(models, effect, shape)
     moving = _extended(models, effect, shape, sizes)
-    return _held(fixed, effect, shape) if unbounded(fit_models(moving, labels), effect) else moving
-
-
-def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...]) -> list[MethodModel]:
-    entries = tuple(
-        NotDetermined(f"{effect.id}.{c.name}", say("undetermined.held_at", value=f"{shape[k]:.3g} {c.unit}"), effect.id)
-        for k, c in enumerate(effect.shapes_for(models[0].observations))
-        if not c.discrete
-    )
-    return [replace(model, left_out=(*model.left_out, *entries)) for model in models]
+    if not unbounded(fit_models(moving, labels), effect):
+        return moving
+    shape = within_grid(shape, grid)
+    held = held_at(effect, models[0].observations, shape)
+    return [replace(own, left_out=(*own.left_out, *held)) for own in _extended(models, effect, shape)]

@@ -34,7 +34,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
     sensors = (_spiked, _stands, _missed)
-    checks = (_still, _rounded, _copied, read_off, _beside, _recorded_before, _repeated, _approached, *sensors)
+    checks = (_still, _rounded, _copied, read_off, _beside, _recorded, _repeated, _approached, *sensors)
     return [
         together((name, words), "")
         for name, session in pairs
@@ -108,8 +108,10 @@ def _beside(session: Session) -> Iterator[str]:
             yield say("suspicion.off_travel", n=len(off), count=len(values), **names, **ends)
 
 
-def _recorded_before(session: Session) -> Iterator[str]:
-    """Runs of a recording that are not looked at."""
+def _recorded(session: Session) -> Iterator[str]:
+    """Readings that a recording lacks, and its runs that are not looked at."""
+    if lost := session.as_recorded.lost:
+        yield say("suspicion.lost", n=lost)
     if earlier := session.as_recorded.earlier:
         yield say("suspicion.earlier", n=len(earlier), readings=", ".join(map(str, earlier)))
 
