@@ -322,10 +322,7 @@ def test_mistakes_on_the_command_line(text: str, message: str) -> None:
         ("format: mtcal-tolerances/1\ntolerances: {EXX: [1]}\n", "line 2: tolerances.EXX"),
         ("format: mtcal-tolerances/1\ntolerances: {EXX: 3}\nrule: x\n", "line 3: unknown key 'rule'"),
         ("format: mtcal-tolerances/1\ntolerances: {C0Y: 3 um}\n", "C0Y: '3 um' is not of the dimension angle"),
-        (
-            "format: mtcal-tolerances/1\ntolerances: {C0Y: 10}\n",
-            "machine needs; a number is in rad: .* as in 10urad",
-        ),
+        ("format: mtcal-tolerances/1\ntolerances: {C0Y: 10}\n", "machine needs; a number is in rad: .* as in 10urad"),
     ],
 )
 def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:

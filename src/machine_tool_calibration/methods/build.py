@@ -2,7 +2,6 @@
 """The model of one session, whatever its method."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.own_noise import own_noise
 from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
 from machine_tool_calibration.session.checks.places import has_stations, misplaced
@@ -55,7 +53,7 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
     built: MethodModel = load(spec_of(session).model).build(without_gaps(session), name)
-    return replace(built, noise=own_noise(built.observations, built.declared_sigma)), name
+    return built, name
 
 
 def linear_part(
@@ -78,10 +76,7 @@ def error_map(fit: Fit) -> ErrorMap:
     """The machine's errors from one session's share in a fit."""
     spec = spec_of(fit.model.observations.session)
     found: ErrorMap = load(spec.model).error_map(fit.model, fit)
-    if fit.model.noise is None:
-        return found
-    scatter = {**found.content.get("scatter", {}), "each": fit.model.noise.each}
-    return replace(found, content={**found.content, "scatter": scatter})
+    return found
 
 
 def suspicious_fits(

@@ -38,7 +38,7 @@ def fit_words(reduced_chi_square: float, p_value: float) -> Said:
 def _scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
     scatter = content.get("scatter")
-    if scatter is None or scatter.get("found") is None:
+    if scatter is None or scatter["found"] is None:
         return None
     how, used = fit_quality(scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
     both, ratio = _both(scatter["found"], scatter["declared"]), rounded(scatter["found"] / scatter["declared"])
@@ -59,11 +59,10 @@ def _scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
 def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     """How the readings scatter, each direction or setup where they differ; None for other methods."""
     whole = _scatter_words(content, p_value)
-    return None if whole is None else together((whole, *each_words(content)))
+    return None if whole is None else together((whole, *_each_words(content)))
 
 
-def each_words(content: Mapping[str, Any]) -> Iterator[Said]:
-    """What directions or setups scatter by where they differ."""
+def _each_words(content: Mapping[str, Any]) -> Iterator[Said]:
     for way, sizes in ((content.get("scatter") or {}).get("each") or {}).items():
         ranked = sorted(sizes.items(), key=lambda one: one[1])
         shown, between = (ranked, ", ") if len(ranked) <= MOST_NAMED else ((ranked[0], ranked[-1]), " … ")

@@ -15,14 +15,7 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result, fit_quality, map_rms, only_if_right, scatter_p_value
-from machine_tool_calibration.reports.goodness import (
-    each_words,
-    effect_words,
-    fit_words,
-    free_words,
-    scatter_words,
-    vague_words,
-)
+from machine_tool_calibration.reports.goodness import effect_words, fit_words, free_words, scatter_words, vague_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     as_exact,
@@ -275,10 +268,8 @@ def session_headline(session: Session) -> str:
 
 def goodness_of_fit(document: Mapping[str, Any]) -> Said:
     """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
-    content = document.get("error_map") or {}
-    if direct := scatter_words(content, document["p_value"]):
-        return direct
-    return together((fit_words(document["reduced_chi_square"], document["p_value"]), *each_words(content)))
+    direct = scatter_words(document.get("error_map") or {}, document["p_value"])
+    return direct or fit_words(document["reduced_chi_square"], document["p_value"])
 
 
 def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES) -> list[tuple[str, str]]:

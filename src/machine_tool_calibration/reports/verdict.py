@@ -16,7 +16,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
-from machine_tool_calibration.reports.goodness import each_words, effect_words, free_words, scatter_words
+from machine_tool_calibration.reports.goodness import effect_words, free_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     p_value,
@@ -396,8 +396,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fit_quality(joint.p_value) == "bad":
         if noise.from_repeats is not None and diagnosis.noisy:
-            own = list(each_words(diagnosis.with_found.error_map.content))
-            why = own or [say("diagnosis.repeats_scatter", repeats=quantity(noise.from_repeats, "m"))]
+            why = [say("diagnosis.repeats_scatter", repeats=quantity(noise.from_repeats, "m"))]
         else:  # what is left with a pattern is told
             why = [] if diagnosis.left else [say("diagnosis.rest" if again else "diagnosis.mounted_once")]
         yield together([say("diagnosis.no_noise", ratio=rounded(ratio)), *why])

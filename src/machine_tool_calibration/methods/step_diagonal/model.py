@@ -96,10 +96,9 @@ class StepDiagonalModel(MethodModel):
 
     def drawn_as(self, other: Self) -> Self:
         """With the size of the angular errors of a model of other readings."""
-        own = super().drawn_as(other)
         if self.spread is None or other.spread is None or self.spread.names != other.spread.names:
-            return own
-        return replace(own, spread=replace(self.spread, posterior=other.spread.posterior), priors=other.priors)
+            return self
+        return replace(self, spread=replace(self.spread, posterior=other.spread.posterior), priors=other.priors)
 
     def expecting(self, size: float) -> Self:
         """The model with angular errors of that root mean square, rad, whatever the readings say of them."""

@@ -17,7 +17,6 @@ from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, Int
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rounding import rounding_of
-from machine_tool_calibration.session.catalogue import spec_of
 
 # Component of a direction from which it is along an axis.
 _ALONG = 0.99
@@ -29,8 +28,8 @@ _FAR, _NEAR = 2.5, 0.9776
 _NO_NOISE = 10.0
 # Degrees of freedom of a group below which it has the scatter of all; share by which noises are the same.
 _FEWEST, _ALIKE = 2.0, 0.01
-# Readings again in a run from which it tells what it differs by, and from which by slope and bow as well.
-_IN_A_RUN, _IN_A_LONG_RUN = 3, 5
+# Readings again in a run from which it tells what it differs by.
+_IN_A_RUN = 3
 # Variances over that of all, and their prior: half of them within a factor of four.
 _LOG_VARIANCES = np.linspace(-12.0, 12.0, 97)
 _LOG_PRIOR = -np.log1p((_LOG_VARIANCES / np.log(4.0)) ** 2)
@@ -49,11 +48,10 @@ class OwnNoise:
 def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
     """From readings of the same place, direction and setup, outside what runs differ by; None where all are alike.
 
-    Repeats that agree better than `declared`, (n,) m, make no reading better. Where one instrument reads all by its
-    beam or its touch, they differ only if that is sure; where a centre moves between the runs, nothing tells.
+    Repeats that agree better than `declared`, (n,) m, make no reading better.
     """
-    ways, spec = list(_ways(observations)), spec_of(observations.session)
-    if not ways or spec.centred:
+    ways = list(_ways(observations))
+    if not ways:
         return None
     kept = _sound(observations, ways[-1][1], declared)
     deviation, left = _about_places(observations, kept)
@@ -61,15 +59,11 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
     logs, variances = [np.log1p(-priors.OWN_NOISE)], list[Array]()
     for _, group, _ in ways:
         values = [observations.readings.displacement[group == k] for k in range(1 + int(group.max()))]
-        # Paths on a grid of places look rounded to it.
-        digits = np.array([rounding_of(own) if spec.reads_machine else 0.0 for own in values])
-        least = digits / rms(declared)
+        least = np.array([rounding_of(own) for own in values]) / rms(declared)
         log_evidence, pooled, variance = _of_groups(deviation, left, group, least)
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])
     weights = softmax(logs)
-    if not spec.reads_machine and weights[0] > 1.0 - priors.SURE:
-        return None
     variance = weights[0] * pooled + weights[1:] @ np.array(variances)
     factor = np.sqrt(np.maximum(variance, 1.0))
     factor /= factor.min()
@@ -101,23 +95,17 @@ def _about_places(observations: Observations, kept: BoolArray) -> tuple[Array, A
     """(n,) deviations of readings from others of the same thing, m, and the share of each that tells of it.
 
     Outside what runs of a direction differ by, which is no noise of a reading; of those that are `kept` (n,) alone.
-    Where one instrument reads all in turn, its runs differ by slopes and bows, too.
     """
-    drifts = not spec_of(observations.session).reads_machine
     place, values = observations.place, observations.readings.displacement
-    sense = 0 * place if drifts else np.abs(observations.direction).argmax(axis=1)
-    run = groups(observations.readings.repeat_of_setup, sense)
+    run = groups(observations.readings.repeat_of_setup, np.abs(observations.direction).argmax(axis=1))
     count = np.bincount(place, kept)
     again = kept & (count[place] > 1)
     mean = np.bincount(place, kept * values) / np.maximum(count, 1.0)
-    off, of_run = np.where(again, values - mean[place], 0.0), np.zeros(len(values))
-    order = np.flatnonzero(again)[np.argsort(run[again], kind="stable")]
-    for mine in np.split(order, np.flatnonzero(np.diff(run[order])) + 1):
-        if len(mine) >= _IN_A_RUN:
-            degree = len(priors.SERIES) - 1 if drifts and len(mine) >= _IN_A_LONG_RUN else 0
-            smooth = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(mine)), degree))[0]
-            off[mine] -= smooth @ (smooth.T @ off[mine])
-            of_run[mine] = np.sum(smooth**2, axis=1)
+    off = np.where(again, values - mean[place], 0.0)
+    repeated = np.bincount(run, again)
+    differs = again & (repeated[run] >= _IN_A_RUN)
+    off -= np.where(differs, (np.bincount(run, off) / np.maximum(repeated, 1.0))[run], 0.0)
+    of_run = np.where(differs, 1.0 / np.maximum(repeated[run], 1.0), 0.0)
     return off, np.where(again, np.maximum(1.0 - 1.0 / np.maximum(count[place], 1.0) - of_run, 0.0), 0.0)
 
 

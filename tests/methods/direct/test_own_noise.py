@@ -17,7 +17,7 @@ from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.session.description import StandardUncertainty
 from machine_tool_calibration.session.session import Session
 
-from .. import plates
+from ... import plates
 
 PLACES, REPEATS = np.linspace(0.0, 0.5, 11), 5
 TRUE = 1e-6 * np.random.default_rng(3).normal(size=(2, 11)) * 10.0
