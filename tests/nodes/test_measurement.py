@@ -128,7 +128,8 @@ def test_a_listener_that_ends_is_started_again_and_what_it_missed_is_said(tmp_pa
     graph = SimpleNamespace(
         ended=lambda: {"recorder": why}, start=lambda name, folder: done.append((name, folder)), kill=done.append
     )
-    listeners, before = _Listeners(graph, tmp_path), tmp_path / "bag"
+    told: list[str] = []
+    listeners, before = _Listeners(graph, tmp_path, told.append), tmp_path / "bag"
     with pytest.raises(CalibrationError, match=rf"^{why}$"):  # nothing is being measured yet
         listeners.watch()
     listeners.client = SimpleNamespace(heard=SimpleNamespace(count=(1, 40)))
@@ -140,6 +141,7 @@ def test_a_listener_that_ends_is_started_again_and_what_it_missed_is_said(tmp_pa
         before = listeners.bag
     listeners.watch()
     assert done[-1] == "recorder" and listeners.remarks[-1] == f"{why}; it is not started again"
+    assert told == listeners.remarks
     graph.ended = lambda: {"procedure": "procedure ended"}
     with pytest.raises(CalibrationError, match=r"^procedure ended$"):
         listeners.watch()

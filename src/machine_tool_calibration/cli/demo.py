@@ -11,7 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, rigid_motions, rms
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
-from machine_tool_calibration.cli.shared import json_option, progress_bar, tell_either
+from machine_tool_calibration.cli.shared import json_option, note, progress_bar, tell_either
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.result import Result
@@ -186,7 +186,7 @@ def command(
     site = SiteSpec(seed=number, effects=(hidden,) if hidden else ())
     setting = Setting(output=free_folder("demo", output), site=site, **graph)
     with readings_bar() as progress:
-        measured = measure(procedure_file(procedure), setting, progress)
+        measured = measure(procedure_file(procedure), setting, progress, note)
     with progress_bar() as share:
         improvement = improve(measured.session, progress=share)
         share("drawing", 1.0)

@@ -11,7 +11,7 @@ from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.cli.enough import known_after
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
-from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
+from machine_tool_calibration.cli.shared import PATH, json_option, note, progress_bar, tell_either
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -105,7 +105,7 @@ def command(
             file = Path(own, file.name)
             file.write_text(text, encoding="utf-8")
         with readings_bar() as progress:
-            measured = measure(file, setting, progress)
+            measured = measure(file, setting, progress, note)
     parts: list[Part] = list(measured.remarks)
     if wanted is not None and not as_json:
         chosen = FitRequest((measured.session,), None, setting.model or None, setting.effects, tuple(own_effects(())))

@@ -96,8 +96,8 @@ class Measured:
 class _Listeners:
     """Watches the graph: a node that only listens is started again when it ends, any other ends the measurement."""
 
-    def __init__(self, graph: Graph, output: Path) -> None:
-        self._graph, self._output = graph, output
+    def __init__(self, graph: Graph, output: Path, tell: Callable[[str], None]) -> None:
+        self._graph, self._output, self._tell = graph, output, tell
         self.bag = output / "bag"  # the recorder's, or that of the one that was started last
         self.client: Client | None = None
         self.remarks: list[str] = []  # what was missed, a sentence for each time
@@ -109,7 +109,7 @@ class _Listeners:
                 raise CalibrationError(why)
             again = sum(remark.startswith(name) for remark in self.remarks) + 2
             if again > LISTENER_STARTS:
-                self.remarks.append(f"{why}; it is not started again")
+                self._remark(f"{why}; it is not started again")
                 self._graph.kill(name)
                 continue
             count = self.client.heard.count[1]
@@ -117,11 +117,15 @@ class _Listeners:
                 before, self.bag = self.bag, self._output / f"bag_{again}"
                 found = f"{self.bag} has all readings, and the other topics from there on"
                 whole = f"`mtcal recover {before}` makes what came before whole"
-                self.remarks.append(f"{why} after {count} readings; {found}; {whole}")
+                self._remark(f"{why} after {count} readings; {found}; {whole}")
                 self._graph.start(name, folder=str(self.bag.resolve()))
             else:
-                self.remarks.append(f"{why} after {count} readings; it gets them all again")
+                self._remark(f"{why} after {count} readings; it gets them all again")
                 self._graph.start(name)
+
+    def _remark(self, text: str) -> None:
+        self.remarks.append(text)
+        self._tell(text)
 
 
 def free_folder(name: str, given: Path | None) -> Path:
@@ -137,8 +141,13 @@ def free_folder(name: str, given: Path | None) -> Path:
     raise CalibrationError("mtcal_output: holds too many measurements")
 
 
-def measure(file: Path, setting: Setting, progress: Counting = lambda text, done, total: None) -> Measured:
-    """Run a procedure from the first process to the last file.
+def measure(
+    file: Path,
+    setting: Setting,
+    progress: Counting = lambda text, done, total: None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Measured:
+    """Run a procedure from the first process to the last file; `tell` is told at once what is missed meanwhile.
 
     A CalibrationError: the procedure or the setting is wrong, a node does not start or ends, or the procedure ends in
     an error; what was measured until then stays in the output folder.
@@ -154,7 +163,7 @@ def measure(file: Path, setting: Setting, progress: Counting = lambda text, done
     nodes, begin = _nodes(setting, procedure), time.monotonic()
     with claimed_domain(setting.domain, setting.namespace) as domain:
         graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
-        listeners = _Listeners(graph, output)
+        listeners = _Listeners(graph, output, tell)
         with Client(domain, graph.namespace, watch=listeners.watch) as client:
             _refuse_company(client, list(nodes), domain)
             _write_inputs(setting, file, procedure)
