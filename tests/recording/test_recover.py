@@ -4,12 +4,14 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
 from machine_tool_calibration.errors import RecordingError, SessionError
+from machine_tool_calibration.recording.mcap_reader import McapReader
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.recover import recover
 from machine_tool_calibration.recording.session_bag import session_from_bag
@@ -78,6 +80,26 @@ def test_a_damaged_chunk_costs_itself(small_bag: Callable[..., Path], tmp_path: 
     assert 0 < len(messages) - len(new) < 60
     kept = {(message.topic, message.log_time) for message in new}
     assert [message for message in messages if (message.topic, message.log_time) in kept] == new
+
+
+@pytest.mark.parametrize("length", [30, 9000])
+def test_behind_a_damaged_length_the_index_shows_the_next_chunk(
+    small_bag: Callable[..., Path], tmp_path: Path, length: int
+) -> None:
+    path = small_bag(messages=300, chunk_bytes=4096)
+    messages, file = whole(path), path / "bag_0.mcap"
+    begins = sorted(McapReader(file).summary.chunk_channels)
+    data = bytearray(file.read_bytes())
+    data[begins[1] : begins[1] + length] = bytes(length)
+    data[begins[-2] : begins[-2] + 20] = bytes(20)
+    file.write_bytes(data)
+    saved, new = recover(path, tmp_path / "new"), whole(tmp_path / "new")
+    gone = sum(begin < begins[1] + length for begin in begins[1:]) + 1
+    per_chunk = len(messages) / len(begins)
+    assert len(saved.problems) == gone and 0.5 * gone < (len(messages) - len(new)) / per_chunk < 1.6 * gone
+    kept = {(message.topic, message.log_time) for message in new}
+    assert [message for message in messages if (message.topic, message.log_time) in kept] == new
+    assert 0 < saved.lost_bytes < 1.5 * gone * max(np.diff(begins))
 
 
 def test_several_files(small_bag: Callable[..., Path], tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
 
 
 class _Salvage:
-    """Reads what is whole in one file; a damaged chunk costs itself, a damaged length the rest of the file."""
+    """Reads what is whole in one file; a damaged chunk costs itself, a damaged length what has no index behind it."""
 
     def __init__(self, path: Path, read: Callable[[int], object]) -> None:
         self.path = path
@@ -137,28 +137,39 @@ class _Salvage:
             yield channel, self._channels.schemas.get(channel.schema_id), entry
 
     def _entries(self) -> Iterator[RawMessage | RawRecord]:
-        end = 0
-        try:
-            with self.path.open("rb") as stream:
-                for record in records(self.path, stream):
-                    try:
-                        yield from list(messages_in(self.path, record.offset, unpack(self.path, record)))
-                    except RecordingError as error:
-                        self._problem(_reason(error, self.path), record.length)
-                    end = record.offset + 9 + record.length
-                    self._read(end)
-                    if record.opcode == Opcode.DATA_END:
-                        return
-        except UnfinishedError:
-            end = max(end, len(MAGIC))
-            saved = 0
-            for saved, entry in enumerate(self._cut(end), 1):  # noqa: B007 (the last one counts)
-                yield entry
-            self._problem("the end is missing", 0 if saved else self.path.stat().st_size - end)
-        except RecordingError as error:
-            self._problem(_reason(error, self.path), self.path.stat().st_size - max(end, len(MAGIC)))
-        except OSError as error:
-            self._problem(f"cannot be read: {error.strerror}", 0)
+        start: int | None = len(MAGIC)
+        while start is not None:
+            end, start = start, None
+            try:
+                with self.path.open("rb") as stream:
+                    for record in records(self.path, stream, start=end):
+                        try:
+                            yield from list(messages_in(self.path, record.offset, unpack(self.path, record)))
+                        except RecordingError as error:
+                            self._problem(_reason(error, self.path), record.length)
+                        end = record.offset + 9 + record.length
+                        self._read(end)
+                        if record.opcode == Opcode.DATA_END:
+                            return
+            except RecordingError as error:
+                start = self._next_chunk(end)
+                if start is not None or not isinstance(error, UnfinishedError):
+                    self._problem(_reason(error, self.path), (start or self.path.stat().st_size) - end)
+                    continue
+                saved = 0
+                for saved, entry in enumerate(self._cut(end), 1):  # noqa: B007 (the last one counts)
+                    yield entry
+                self._problem("the end is missing", 0 if saved else self.path.stat().st_size - end)
+            except OSError as error:
+                self._problem(f"cannot be read: {error.strerror}", 0)
+
+    def _next_chunk(self, after: int) -> int | None:
+        """Where the next chunk begins, by the index at the file's end; None where there is none."""
+        with contextlib.suppress(RecordingError, OSError):
+            summary = mcap_reader.McapReader(self.path).summary
+            self._channels = summary.channels  # those of the chunks that are lost, too
+            return min((offset for offset in summary.chunk_channels if offset > after), default=None)
+        return None
 
     def _cut(self, start: int) -> Iterator[RawMessage | RawRecord]:
         """The whole messages in a chunk whose end is missing."""
