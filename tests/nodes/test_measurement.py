@@ -12,7 +12,7 @@ import yaml
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.graph import Graph
-from machine_tool_calibration.nodes.measurement import _Listeners
+from machine_tool_calibration.nodes.measurement import _Listeners, _misspelt
 
 from .conftest import PATIENCE, PROCEDURE, SITE
 from .reference import reference
@@ -121,6 +121,14 @@ def test_what_a_node_said_last_is_no_innocent_line_of_its_log(tmp_path, log, tol
     assert graph.ended() == {"probe": f"probe was ended by SIGKILL{told}"}
     graph._running["probe"] = SimpleNamespace(poll=lambda: 1, returncode=1)
     assert graph.ended() == {"probe": f"probe ended with status 1{told}"}
+
+
+def test_a_misspelt_node_of_a_parameter_file_is_told(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("/**/instrumnt: {ros__parameters: {a: 1}}\n/cell/estimator: {}\n/**: {}\nrobot_driver: {}\n")
+    told = list(_misspelt(file, ["instrument", "estimator", "recorder"]))
+    assert told == [f"{file}: no node 'instrumnt' is started (did you mean 'instrument'?)"]
+    assert list(_misspelt(None, ["instrument"])) == []
 
 
 def test_a_listener_that_ends_is_started_again_and_what_it_missed_is_said(tmp_path):

@@ -7,7 +7,7 @@ import json
 import operator
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.files import save
 from machine_tool_calibration.methods.build import model_of
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -33,7 +33,7 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.session.text import yaml_text
+from machine_tool_calibration.session.text import read_yaml, yaml_text
 from machine_tool_calibration.simulation.site import SiteSpec
 
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
@@ -161,6 +161,8 @@ def measure(
             find_effects(setting.effects)
     output, total = setting.output, len(plan(procedure).steps)
     nodes, begin = _nodes(setting, procedure), time.monotonic()
+    for remark in _misspelt(setting.parameters, nodes):
+        tell(remark)
     with claimed_domain(setting.domain, setting.namespace) as domain:
         graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
         listeners = _Listeners(graph, output, tell)
@@ -194,6 +196,15 @@ def measure(
         remarks=tuple(listeners.remarks),
         reached=() if stages is None else tuple(stages.reached),
     )
+
+
+def _misspelt(parameters: Path | None, nodes: Collection[str]) -> Iterator[str]:
+    """Names in a parameter file that are hardly those of other nodes."""
+    content = None if parameters is None else read_yaml(parameters).value
+    for key in content if isinstance(content, dict) else ():
+        name = str(key).rsplit("/", 1)[-1]
+        if name not in nodes and (hint := did_you_mean(name, nodes)):
+            yield f"{parameters}: no node {name!r} is started{hint}"
 
 
 @contextmanager
