@@ -33,12 +33,12 @@ _LIKE_A_UNIT = re.compile(r"[^\W\d_]{1,4}")
 _IN_NAME = re.compile(r"(.*)[\[(]\s*([^\])]+?)\s*[\])]\s*")
 
 
-def spelled(unit: str) -> str:
-    """The unit as it is named here; a SessionError if it is unknown."""
+def spelled(unit: str, what: str = "") -> str:
+    """The unit as it is named here; a SessionError, after `what` it is of, if it is unknown."""
     name = _SPELLINGS.get(unit.strip(), unit.strip())
     if name not in UNITS:
         comma = "; decimals have a point here" if unit.startswith(",") else ""
-        raise SessionError(f"unknown unit {unit!r}{comma}; known are {', '.join(UNITS)}")
+        raise SessionError(f"{what}unknown unit {unit!r}{comma}; known are {', '.join(UNITS)}")
     return name
 
 
@@ -70,7 +70,7 @@ def quantity(text: str, wanted: str, what: str) -> float:
         if wanted not in ("number", "temperature"):
             raise SessionError(f"{what}: {text!r} has no unit, as in {_example(wanted)}")
         return float(match[1])
-    if dimension(unit) != wanted:
+    if dimension(spelled(unit, f"{what}: ")) != wanted:
         raise SessionError(f"{what}: {text!r} is not of the dimension {wanted}, as in {_example(wanted)}")
     return float(si_values([match[1]], unit)[0])
 
