@@ -57,7 +57,7 @@ def test_nothing_missing_is_called_adequate(plan: str) -> None:
     ],
 )
 def test_an_effect_may_cost_the_map_neither_values_nor_all_use(name: str, after: list[float], message: str) -> None:
-    maps: Any = [SimpleNamespace(content={name: np.array(u)}) for u in ([2.0, 2.0, np.nan], after)]
+    maps: Any = [SimpleNamespace(content={name: 1e-6 * np.array(u)}) for u in ([2.0, 2.0, np.nan], after)]
     with pytest.raises(ModelError, match=message) if message else nullcontext():
         _hold(*maps)
 

@@ -16,6 +16,7 @@ from machine_tool_calibration.diagnosis.search.findings import occurs
 from machine_tool_calibration.diagnosis.search.prediction import Prediction
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.methods.build import VAGUE
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
@@ -261,7 +262,8 @@ def _hold(before: ErrorMap, after: ErrorMap) -> None:
         old = np.asarray(before.content[name], dtype=float)
         new = np.asarray(after.content.get(name, np.full(old.shape, np.nan)), dtype=float)
         if new.shape == old.shape:
-            lost += int((np.isfinite(old) & ~np.isfinite(new)).sum())
+            # What is vague counts as determined only beside the scatter of what is missing.
+            lost += int((np.isfinite(old) & (old < VAGUE) & ~np.isfinite(new)).sum())
             both = np.isfinite(old) & np.isfinite(new)
             old, new = old[both], new[both]
         # Otherwise places are there once for every state of the effect, such as either direction of approach.

@@ -19,9 +19,10 @@ from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import together
 
-# Standard uncertainty above which a position error counts as not determined, m; and that of readings which are known
-# no better than a tenth of it, over what these scatter by.
-_VAGUE, _VAGUE_READINGS = 1e-4, 10.0
+VAGUE = 1e-4
+"""Standard uncertainty above which a position error counts as not determined, m."""
+# The same of readings which are known no better than a tenth of it, over what these scatter by.
+_VAGUE_READINGS = 10.0
 
 
 def model_names(method: str | None = None) -> tuple[str, ...]:
@@ -69,7 +70,7 @@ def linear_part(
 
 def vaguest(fit: Fit) -> float:
     """Standard uncertainty of a position error, m, from which it says nothing of a machine, a linear fit little."""
-    return max(_VAGUE, _VAGUE_READINGS * fit.joint.birge_ratio * fit.model.observations.session.sigma)
+    return max(VAGUE, _VAGUE_READINGS * fit.joint.birge_ratio * fit.model.observations.session.sigma)
 
 
 def error_map(fit: Fit) -> ErrorMap:
