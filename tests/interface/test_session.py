@@ -263,7 +263,7 @@ def test_a_file_and_the_instrument(part: mtcal.Fit, tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_conformity(part: mtcal.Fit) -> None:
-    found = part.conformity({"ECC": "10 mrad", "C0Y": 1.0, "EXC": 1e-9})
+    found = part.conformity({"ECC": "10 mrad", "C0Y": 0.1, "EXC": 1e-9})
     assert list(found.verdicts.columns) == ["tolerance", "value", "u", "unit", "probability", "decision", "why"]
     assert list(found.verdicts["decision"])[::2] == ["pass", "fail"]
     assert found.decision == "fail"
