@@ -103,7 +103,7 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     improved = operator.outcome("estimator/improve", PATIENCE)
     assert improved["effects"] == "backlash_y"
     assert float(improved["rms_after"]) < 0.5 * float(improved["rms_before"])
-    assert operator.wait(lambda: "µm RMS residual" in heard["estimator__status"].status[0].message, PATIENCE)
+    assert operator.wait(lambda: "the residual falls" in heard["estimator__status"].status[0].message, PATIENCE)
     assert operator.wait(lambda: bool(operator.heard.published.document), PATIENCE)
     way = json.loads(Heard(operator, improvement__result=String)["improvement__result"].data)
     assert way == printed("improve", folder, "--no-history", "-o", bench.folder / "improve")

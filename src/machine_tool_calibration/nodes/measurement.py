@@ -153,12 +153,7 @@ def measure(
     an error; what was measured until then stays in the output folder.
     """
     procedure = read_procedure(file)
-    if setting.parameters is not None and not setting.parameters.is_file():
-        raise CalibrationError(f"{setting.parameters}: no such file")
-    if setting.identify:  # what could not be identified is refused before anything moves
-        model_of(procedure.session.method, setting.model)
-        if setting.parameters is None:  # which may name files of the user's own effects
-            find_effects(setting.effects)
+    _require_possible(setting, procedure)
     output, total = setting.output, len(plan(procedure).steps)
     nodes, begin = _nodes(setting, procedure), time.monotonic()
     for remark in _misspelt(setting.parameters, nodes):
@@ -196,6 +191,16 @@ def measure(
         remarks=tuple(listeners.remarks),
         reached=() if stages is None else tuple(stages.reached),
     )
+
+
+def _require_possible(setting: Setting, procedure: Procedure) -> None:
+    """Refuse, before anything moves, what could not be started or identified; a CalibrationError says what."""
+    if setting.parameters is not None and not setting.parameters.is_file():
+        raise CalibrationError(f"{setting.parameters}: no such file")
+    if setting.identify:
+        model_of(procedure.session.method, setting.model)
+        if setting.parameters is None:  # which may name files of the user's own effects
+            find_effects(setting.effects)
 
 
 def _misspelt(parameters: Path | None, nodes: Collection[str]) -> Iterator[str]:
