@@ -114,11 +114,12 @@ def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]
         reversal = found.owner.startswith(("backlash_", "lost_motion_")) and found.name.endswith((".b", ".b0"))
-        if reversal or unknown.low == 0.0:
-            value, u, least = found.value, found.standard_uncertainty, -np.inf
+        # A nonlinear coefficient is positive wherever it is looked for.
+        if reversal or (unknown.low == 0.0 and unknown.reference == 0.0):
+            value, u, largest = found.value, found.standard_uncertainty, -np.inf
             if reversal:
-                value, u, least = _mean_size(fit, found.owner)
-            if value < -_SURE * u and least <= _SURE:
+                value, u, largest = _mean_size(fit, found.owner)
+            if value < -_SURE * u and largest <= _SURE:
                 key = "fit.negative_backlash" if reversal else "fit.negative"
                 yield say(key, name=found.owner if reversal else found.name)
         if found.name.endswith("periodic_" + found.owner[-1] + ".lead"):
