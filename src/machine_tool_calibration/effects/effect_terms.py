@@ -277,17 +277,12 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
     moving = [effect for effect in curved if not all(shape.discrete for shape in effect.shapes)]
     fitted = fit_models([full]).fits[0].joint if moving else None
-    loose = {effect.id for effect in moving if fitted and unbounded(fitted, effect)}
+    loose = [effect for effect in moving if fitted and unbounded(fitted, effect)]
     if loose:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
-        shapes |= {name: (within_grid(shapes[name][0], grids[name]), None) for name in loose}
+        shapes |= {e.id: (within_grid(shapes[e.id][0], grids[e.id]), None) for e in loose}
         held = [effect_term(effect, observations, *shapes[effect.id]) for effect in curved]
-        left = tuple(
-            one
-            for effect in moving
-            if effect.id in loose
-            for one in held_at(effect, observations, shapes[effect.id][0])
-        )
+        left = tuple(one for effect in loose for one in held_at(effect, observations, shapes[effect.id][0]))
         full = replace(base, left_out=base.left_out + left).with_terms(held)
     return full.reestimated()
 

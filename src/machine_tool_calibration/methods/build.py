@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import Fit
@@ -71,6 +71,14 @@ def linear_part(
 def vaguest(fit: Fit) -> float:
     """Standard uncertainty of a position error, m, from which it says nothing of a machine, a linear fit little."""
     return max(VAGUE, _VAGUE_READINGS * fit.joint.birge_ratio * fit.model.observations.session.sigma)
+
+
+def without_vague(fit: Fit, error: Array, covariance: Array) -> tuple[Array, Array, Array, BoolArray]:
+    """Position errors (n, d), their uncertainties and covariance (n, d, d), NaN where they are vague; and where."""
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
+    vague = uncertainty > vaguest(fit)
+    covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
+    return np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty), covariance, vague
 
 
 def error_map(fit: Fit) -> ErrorMap:

@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -165,10 +166,16 @@ class _Salvage:
 
     def _next_chunk(self, after: int) -> int | None:
         """Where the next chunk begins, by the index at the file's end; None where there is none."""
+        if (summary := self._summary) is None:
+            return None
+        self._channels = summary.channels  # those of the chunks that are lost, too
+        return min((offset for offset in summary.chunk_channels if offset > after), default=None)
+
+    @cached_property
+    def _summary(self) -> mcap_reader.Summary | None:
+        """The file's own; None where it has none that is whole."""
         with contextlib.suppress(RecordingError, OSError):
-            summary = mcap_reader.McapReader(self.path).summary
-            self._channels = summary.channels  # those of the chunks that are lost, too
-            return min((offset for offset in summary.chunk_channels if offset > after), default=None)
+            return mcap_reader.McapReader(self.path).summary
         return None
 
     def _cut(self, start: int) -> Iterator[RawMessage | RawRecord]:

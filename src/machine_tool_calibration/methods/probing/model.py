@@ -23,7 +23,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, orthonormal_basis, root_of
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
-from machine_tool_calibration.methods.build import vaguest
+from machine_tool_calibration.methods.build import vaguest, without_vague
 from machine_tool_calibration.methods.probing import datum, geometry
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, Term, motion_value
@@ -286,13 +286,11 @@ def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
     workpiece, lost = _workpiece(model, fit)
     places = np.array([(x, y, 0.0) for x in model.grid[0] for y in model.grid[1]])
     error, covariance = _plane(model.tables, places, fit)
-    uncertainty, most = np.asarray(np.sqrt(np.einsum("nii->ni", covariance))), vaguest(fit)
-    vague, why = uncertainty > most, say("undetermined.vague", size=f"{1e3 * most:g}")
+    error, uncertainty, covariance, vague = without_vague(fit, error, covariance)
+    why = say("undetermined.vague", size=f"{1e3 * vaguest(fit):g}")
     for axis, count in zip("xy", np.sum(vague, axis=0), strict=True):
         if count:
             lost += (NotDetermined(f"position_error along {axis} of {count} of {len(places)} points", why),)
-    error, uncertainty = (np.where(vague, np.nan, values) for values in (error, uncertainty))
-    covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
     setups = model.description.setups
     content: dict[str, Any] = {
         **workpiece,

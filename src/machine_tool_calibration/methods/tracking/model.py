@@ -15,7 +15,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
-from machine_tool_calibration.methods.build import vaguest
+from machine_tool_calibration.methods.build import vaguest, without_vague
 from machine_tool_calibration.methods.tracking import datum
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
@@ -335,14 +335,10 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     d, good = model.dimension, network.good
     error = np.where(good[:, None], network.error, np.nan)
     covariance = np.where(good[:, None, None], network.covariance, np.nan)
-    uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
+    error, uncertainty, covariance, vague = without_vague(fit, error, covariance)
     fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
     own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
     own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
-    most = vaguest(fit)
-    vague = uncertainty > most
-    error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
-    covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
     content = {
         "points": model.targets,
         "position_error": error,
@@ -356,7 +352,7 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     }
     places = {k: ", ".join(f"{1e3 * v:.6g}" for v in model.targets[k]) for k in network.why}
     lost = tuple(NotDetermined(f"target ({places[k]}) mm", why) for k, why in network.why.items())
-    lost += tuple(_vague(model, vague, j, most) for j in range(d) if vague[:, j].any())
+    lost += tuple(_vague(model, vague, j, vaguest(fit)) for j in range(d) if vague[:, j].any())
     names = [parameter.name for parameter in model.own]
     moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
     return ErrorMap(content, model.targets, in_space(error), in_space(uncertainty), in_space(covariance), lost, moved)
