@@ -226,7 +226,5 @@ def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     And noise for independent, of which few readings tell little.
     """
     monkeypatch.setattr("machine_tool_calibration.model.marginal_fit.added_by_memory", lambda *of: np.zeros_like(of[4]))
-    monkeypatch.setattr("machine_tool_calibration.model.marginal_fit.with_drift", lambda observations: ())
-    monkeypatch.setattr(
-        "machine_tool_calibration.model.marginal_fit.imperfection", lambda observations: np.zeros((0, 1))
-    )
+    monkeypatch.setattr("machine_tool_calibration.model.widening.with_drift", lambda observations: ())
+    monkeypatch.setattr("machine_tool_calibration.model.widening.imperfection", lambda observations: np.zeros((0, 1)))

@@ -83,7 +83,7 @@ def test_the_model_with_what_was_found_is_looked_at_anew(
         looked.append(chosen.effects)
         name, probability = hidden.get(chosen.effects, ("", 0.0))
         search = SimpleNamespace(of=lambda effect: SimpleNamespace(probability=probability))
-        told = {"fits": (SimpleNamespace(p_value=p_value),), "left": left, "search": search}
+        told = {"fits": (SimpleNamespace(p_value=p_value),), "left": left, "search": search, "alternatives": {}}
         return SimpleNamespace(accepted=(name,) * bool(name), set_aside=((),), gross_errors=(), chosen=chosen, **told)
 
     monkeypatch.setattr(improve_module, "diagnose", look)

@@ -55,6 +55,8 @@ from machine_tool_calibration.words import say, together
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
+# A probability of nothing.
+_NEVER = 1e-300
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,20 @@ class Diagnosis:
         """Effects that are not named as missing and yet are what one would look at next."""
         gone = {*self.accepted, *(name for name, why in self.refused.items() if without_size(why))}
         return tuple(f.name for f in self.ranked if f.probability >= priors.LIKELY and f.name not in gone)
+
+    @cached_property
+    def alternatives(self) -> dict[str, dict[str, float]]:
+        """By effect found, which look-alikes it may as well be, each with its probability among them."""
+        out = {}
+        for group in self.search.groups:
+            some = {name: self.search.of(name) for name in group if name not in self.refused}
+            own = [name for name in some if name in self.accepted]
+            whole = sum(finding.probability for finding in some.values())
+            shares = {name: round(f.probability / max(whole, _NEVER), 2) for name, f in some.items() if f.plausible}
+            others = {name: share for name, share in shares.items() if name not in own and share > priors.MAY_BE}
+            if len(own) == 1 and others:
+                out[own[0]] = others
+        return out
 
     @cached_property
     def with_found(self) -> FittedSessions:
@@ -342,6 +358,7 @@ def _feasible(
 
 def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise | None]:
     """What is searched, its fit, and where places that were measured repeatedly have their means, what repeats say."""
+    chosen = replace(chosen, alternatives={})  # what is in the model is taken for what it is
     first = fit_sessions(chosen)
     refuse_impossible(first)
     averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None

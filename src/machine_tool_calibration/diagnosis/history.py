@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 _CLEARLY = 6.0
 
 
+Share = Annotated[float, Field(gt=0, lt=1)]
+"""A probability."""
+
+
 class Coefficient(Record):
     """A coefficient of an effect in a model."""
 
@@ -53,6 +57,8 @@ class Entry(Record):
     sessions: tuple[Part, ...] = ()  # those that were fitted together; empty for one session
     effects: tuple[str, ...] = ()  # ids of the effects that were added to it
     own: tuple[dict[str, Any], ...] = ()  # definitions of those of them that are the user's own by formula
+    # by effect, which others it may as well be, each with its probability
+    alternatives: dict[str, dict[str, Share]] = Field(default_factory=dict)
     change: str = ""  # what it has and its parent has not, in a few words
     data: str  # fingerprint of the readings; another one means other readings
     used: int  # number of readings in the fit
@@ -113,6 +119,7 @@ class Entry(Record):
             self.effects,
             tuple(self.own_effects(own)),
             keep_all=True,
+            alternatives=self.alternatives,
         )
 
     def _of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
@@ -149,7 +156,10 @@ class Entry(Record):
 
     def same_model(self, other: Entry) -> bool:
         """Whether another entry is the same model of the same readings, with the same outcome."""
-        alike = all(getattr(self, key) == getattr(other, key) for key in ("data", "model", "own", "set_aside", "kept"))
+        alike = all(
+            getattr(self, key) == getattr(other, key)
+            for key in ("data", "model", "own", "alternatives", "set_aside", "kept")
+        )
         alike &= all({*getattr(self, key)} == {*getattr(other, key)} for key in ("sessions", "effects"))
         return alike and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
 

@@ -166,7 +166,7 @@ def improve(subject: Session | FitRequest, *, progress: Progress = untold) -> Im
             if (aside, wider.effects) != (steps[-1].set_aside, steps[-1].chosen.effects):
                 steps.append(Step(steps[-1], change, wider, identify_sessions(wider, found.set_aside), aside))
         looks.append(found)
-        chosen = chosen.adding(found.accepted)
+        chosen = chosen.adding(found.accepted, found.alternatives)
     progress("done", 1.0)
     return Improvement(looks[0], tuple(looks[1:]), tuple(steps))
 
@@ -206,7 +206,7 @@ def accepted_models(found: Diagnosis, progress: Progress) -> Iterator[tuple[str,
         yield say("step.set_aside", n=len(found.gross_errors)), start
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
-        yield name, start.adding(found.accepted[: k + 1])
+        yield name, start.adding(found.accepted[: k + 1], found.alternatives)
 
 
 def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, number: int) -> Entry:
@@ -232,6 +232,7 @@ def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, 
         sessions=parts,
         effects=used,
         own=tuple(dict(e.definition) for e in step.chosen.own if e.id in used and e.definition is not None),
+        alternatives={name: dict(others) for name, others in step.chosen.alternatives.items() if name in used},
         change=step.change,
         data=data,
         used=joint.assembly.problem.n_readings,

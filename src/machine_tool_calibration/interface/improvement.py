@@ -54,7 +54,7 @@ class Improvement(Answer, Done):
 
     @property
     def best(self) -> Fit:
-        """The last model. Where confounded effects move its map differently, the map is their mean."""
+        """The last model. Where look-alikes of its effects move the map differently, its uncertainty contains that."""
         return self.fits[-1]
 
     @property

@@ -6,9 +6,10 @@ Refused is what no machine has: errors of centimetres, and instruments that do n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from machine_tool_calibration.methods.joint.model import CommonModels, common_mo
 from machine_tool_calibration.methods.joint.small_angles import published_angles, random_of, with_estimated_angles
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, effect_signal
+from machine_tool_calibration.model.widening import Alternatives
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.places import has_stations, refuse_misplaced
@@ -46,6 +48,8 @@ class FitRequest:
     own: tuple[Effect, ...] = ()  # the user's own effects, beside the catalogue
     # use all readings; otherwise those that stand out of all others of their session are set aside
     keep_all: bool = False
+    # by effect in the model, which others it may as well be, each with its probability: that widens the uncertainty
+    alternatives: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     # models of its sessions without effects, by session and variant, as far as they were made: of this choice and of
     # those with other effects
     made: dict[tuple[int, str | None], tuple[Session, Built]] = field(default_factory=dict, repr=False, compare=False)
@@ -63,9 +67,11 @@ class FitRequest:
         """A session with its method's default model, or what was chosen already."""
         return cls((subject,)) if isinstance(subject, Session) else subject
 
-    def adding(self, effects: Sequence[str]) -> FitRequest:
-        """With further effects in the model."""
-        return replace(self, effects=(*self.effects, *effects))
+    def adding(
+        self, effects: Sequence[str], alternatives: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+    ) -> FitRequest:
+        """With further effects in the model, and what these may be instead."""
+        return replace(self, effects=(*self.effects, *effects), alternatives={**self.alternatives, **alternatives})
 
     def instead(self, at: int, session: Session) -> FitRequest:
         """With another session in the place of one."""
@@ -181,10 +187,31 @@ def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = 
     chosen = FitRequest.of(subject)
     if len(chosen.sessions) == 1:
         ((model, name),) = _all_built(chosen, built)
-        return FittedSessions(fit_models([model]), None, (name,), chosen.effects)
+        joint = _with_alternatives(fit_models([model]), chosen)
+        return FittedSessions(joint, None, (name,), chosen.effects)
     common, names = joint_models(chosen, built)
-    joint = fit_models(common.models, chosen.labels, random_of(common.angles))
+    joint = _with_alternatives(fit_models(common.models, chosen.labels, random_of(common.angles)), chosen)
     return FittedSessions(joint, common, names, chosen.effects)
+
+
+def _with_alternatives(joint: JointFit, chosen: FitRequest) -> JointFit:
+    """The fit with what its effects may be instead, as far as the data allows these in their place."""
+    pairs, differences, probability = [], [], []
+    for effect, others in chosen.alternatives.items():
+        for other in others if effect in chosen.effects else ():
+            effects = tuple(other if name == effect else name for name in chosen.effects)
+            try:
+                instead = fit_sessions(replace(chosen, effects=effects, alternatives={})).joint
+            except ModelError:
+                continue
+            pairs.append((effect, other))
+            differences.append(effect_signal(instead, other)[0] - effect_signal(joint, effect)[0])
+            probability.append(others[other])
+    if not differences:
+        return joint
+    ends = np.cumsum([len(model.sigma) for model in joint.assembly.models])
+    each = tuple(np.split(np.array(differences), ends[:-1], axis=1))
+    return replace(joint, alternatives=Alternatives(tuple(pairs), each, np.array(probability)))
 
 
 def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:

@@ -297,7 +297,7 @@ def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
     parts = tuple(joint.assembly.problem.parts)
     none = tuple(np.zeros((0, part.n_readings)) for part in parts)
     solution = joint.solution if covariance is None else replace(joint.solution, covariance=covariance)
-    return replace(joint, given=MarginalFit(parts, solution, 1.0, (), None, none, solution.chi_square, np.zeros(0)))
+    return replace(joint, given=MarginalFit(parts, solution, 1.0, (), None, none, 0, solution.chi_square, np.zeros(0)))
 
 
 @single_blas()

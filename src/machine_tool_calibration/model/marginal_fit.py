@@ -5,7 +5,8 @@ A fit by least squares takes all readings for independent. What is published is 
 every mounting has a random function of time (`model.reproducibility`) whose size the readings determine, the declared
 uncertainty is corrected where the readings contradict it, and unknowns that are random functions themselves (small
 angular errors) have the mean over the sizes that are possible. The values are those of the marginal model, too; what
-every model lacks a little (`model.imperfection`) moves none of them, and widens their uncertainty.
+every model lacks a little, and what an effect may be instead, moves none of them, and widens their uncertainty
+(`model.widening`).
 """
 
 from collections.abc import Sequence
@@ -22,21 +23,13 @@ from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, covariance_root, local_steps
-from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components, with_unrepeated
+from machine_tool_calibration.estimation.variance_components import Components, components, with_unrepeated
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
-from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection, misfit
+from machine_tool_calibration.model.imperfection import IMPERFECT, misfit
 from machine_tool_calibration.model.model import Assembly, RandomPosterior, RandomUnknowns, assemble
 from machine_tool_calibration.model.noise_memory import added_by_memory
-from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.reproducibility import (
-    CURVES,
-    DRIFT,
-    Family,
-    PureError,
-    of_repeats,
-    offsets_apart,
-    with_drift,
-)
+from machine_tool_calibration.model.reproducibility import CURVES, DRIFT, PureError, of_repeats, offsets_apart
+from machine_tool_calibration.model.widening import ALTERNATIVE, Alternatives, Widened, with_functions
 from machine_tool_calibration.session.catalogue import spec_of
 
 
@@ -47,6 +40,7 @@ class Solved:
     assembly: Assembly  # the models and their problem
     solution: Solution  # where the sum of squares is least, every reading for itself
     random: RandomUnknowns | None = None  # unknowns that are small random functions; None without any
+    alternatives: Alternatives | None = None  # what effects in the model may be instead; None where nothing is said
 
     def normalised(self, index: int) -> Array:
         """(n,) measured minus predicted over the declared uncertainty, of a session."""
@@ -100,6 +94,7 @@ class MarginalFit:
     sizes: tuple[FamilySize, ...]  # of what does not reproduce
     random: RandomPosterior | None  # of unknowns that are random functions; None without any
     functions: tuple[Array, ...]  # per session, (k, n) columns of the coefficients of what does not reproduce
+    shared: int  # of these the last ones, whose coefficients all sessions have in common
     squares: float  # weighted sum of squared residuals that is left beside what does not reproduce
     # (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`
     ratios: Array
@@ -120,46 +115,37 @@ class MarginalFit:
 
     def coefficients(self, index: int) -> IntArray:
         """(k,) places of the coefficients of a session's functions in the solution."""
-        first = len(self.solution.theta) - sum(map(len, self.functions)) + sum(map(len, self.functions[:index]))
-        return np.arange(first, first + len(self.functions[index]))
+        counts, end = [len(own) - self.shared for own in self.functions], len(self.solution.theta)
+        first = end - self.shared - sum(counts[index:])
+        return np.concatenate([np.arange(first, first + counts[index]), np.arange(end - self.shared, end)])
 
 
 @single_blas()
 def marginal_fit(solved: Solved) -> MarginalFit:
     """The fit with what does not reproduce in it."""
     problem, solution = solved.without_expectations, solved.solution
-    observed = [model.observations for model in solved.assembly.models]
-    # Rows of a plate that differ are the part's, as far as the map is concerned.
-    families = [with_drift(one) for one in observed]
-    if solved.random is None and problem.n_readings <= _ENOUGH:
-        families = [own + _imperfect(one) for own, one in zip(families, observed, strict=True)]
-    parts, place, names = _widened(problem, families)
-    offset = np.concatenate([np.zeros(0, dtype=bool), *(f.offsets for own in families for f in own)])
-    u = len(place)
-    wide = Problem(
-        parts,
-        problem.size + u,
-        np.pad(problem.constraints, ((0, 0), (0, u))),
-        problem.constraint_values,
-        problem.priors and replace(problem.priors, columns=np.pad(problem.priors.columns, ((0, 0), (0, u)))),
-    )
+    imperfect = solved.random is None and problem.n_readings <= _ENOUGH
+    wider = with_functions(problem, solved.assembly.models, imperfect, solved.alternatives)
+    wide, u = wider.problem, len(wider.family)
     theta = np.concatenate([solution.theta, np.zeros(u)])
     if u or solved.random is not None:
-        found = _average_over_sizes(solved, problem, wide, place, offset, names)
+        found = _average_over_sizes(solved, problem, wider)
     else:
         repeated = _of_repeats(solved, ())
         again = (0.0, 0.0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
         none, known, left = np.zeros(0), solution.covariance, solution.chi_square
-        found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, known)
+        found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, known, np.zeros_like(known))
     mean, covariance = found.mean, found.covariance
     if wide.priors is not None:
         covariance = _with_its_own(covariance, wide.priors, found.scatter)
     if sizes := effect_sizes(solved.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
+    covariance = covariance + found.instead
     by_memory = None
     if problem.n_readings * wide.size <= _NUMBERS:
+        observed = [model.observations for model in solved.assembly.models]
         by_memory = added_by_memory(observed, wide, solution, found.mean, found.estimator, found.squares, found.scatter)
     published = replace(
         solution,
@@ -169,12 +155,9 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         determined=np.pad(solution.determined, (0, u), constant_values=True),
         local=local_steps(wide, theta, solution.local, mean) if mean.any() else solution.local,
     )
-    functions = tuple(
-        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own)])
-        for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
-    )
     told = (found.scatter, found.sizes, found.random)
-    return MarginalFit(tuple(parts), published, *told, functions, found.squares, found.ratios, by_memory)
+    functions = (wider.functions, wider.shared)
+    return MarginalFit(tuple(wide.parts), published, *told, *functions, found.squares, found.ratios, by_memory)
 
 
 def _with_its_own(covariance: Array, known: PriorRows, scatter: float) -> Array:
@@ -199,6 +182,7 @@ class _Marginal:
     squares: float
     ratios: Array
     estimator: Array  # the covariance without what moves nothing: times the columns it takes readings to the mean
+    instead: Array  # what is to be added to it, as effects may be others
 
 
 @dataclass(frozen=True)
@@ -235,11 +219,10 @@ def _probable_sizes(outside: Gram, repeated: PureError | None, absorbed: BoolArr
     return _Probable(found, ratios, weights, squares, again, unrepeated | (repeated is None))
 
 
-def _average_over_sizes(
-    solved: Solved, problem: Problem, wide: Problem, place: IntArray, offset: BoolArray, names: tuple[str, ...]
-) -> _Marginal:
+def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Marginal:
     """The mean over the sizes of what does not reproduce."""
-    solution, m, u = solved.solution, problem.size, len(place)
+    solution, m, wide, names = solved.solution, problem.size, wider.problem, wider.names
+    place, u = wider.family, len(wider.family)
     total, squares = gram(wide, np.concatenate([solution.theta, np.zeros(u)]), solution.local)
     root = _root(solved, total, squares)
     projected = project(total, squares, root, u).gram
@@ -247,10 +230,11 @@ def _average_over_sizes(
     dof = solution.degrees_of_freedom
     seen = np.diag(projected)[:-1] > _LEAST_SHARE_LEFT * squares[m:-1]
     # What a model lacks is distinguished from what does not reproduce: it moves nothing, and widens what is published.
-    imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
-    runs = np.flatnonzero(~imperfect)
-    families = tuple(name for name in names if name != IMPERFECT)
-    own, was = offsets_apart(place[runs], offset[runs], seen[runs])
+    imperfect, alternative = wider.of(IMPERFECT), wider.of(ALTERNATIVE)
+    unmoved = imperfect | alternative
+    runs = np.flatnonzero(~unmoved)
+    families = tuple(name for name in names if name not in (IMPERFECT, ALTERNATIVE))
+    own, was = offsets_apart(place[runs], wider.offsets[runs], seen[runs])
     some = np.append(runs, u)
     inner = projected[np.ix_(some, some)]
     outside = Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof)
@@ -258,7 +242,6 @@ def _average_over_sizes(
     known = _probable_sizes(outside, _of_repeats(solved, families), ~seen[runs], most)
     plain, scatter = _scatter(known.squares, dof), _scatter(known.squares, dof, known.again)
     # Where nothing was read again and what is left is mostly something else, neither do runs.
-    unmoved = imperfect.copy()
     if solution.chi_square - known.squares < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = known.unrepeated[own] & np.array([names[was[k]] != CURVES for k in own], dtype=bool)
     tau = np.zeros((len(known.weights), u))
@@ -276,13 +259,12 @@ def _average_over_sizes(
         mean, covariance = _mixture(np.array(steps), np.array(covariances), known.weights, scatter)
         estimator, random = covariance, found_random[0]
     sizes = _sizes(solved, known.found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
+    instead = np.zeros((m + u, m + u))
+    if solved.alternatives is not None:
+        by = np.eye(m + u)[:, m:][:, alternative] - estimator @ total[:-1, m:-1][:, alternative]
+        instead = (by * solved.alternatives.probability / scatter**2) @ by.T
     ratio = np.sqrt(known.weights @ tau**2)
-    return _Marginal(mean, covariance, scatter, sizes, random, known.squares, ratio, estimator)
-
-
-def _imperfect(observations: Observations) -> tuple[Family, ...]:
-    shapes = imperfection(observations)
-    return (Family(IMPERFECT, np.zeros(len(observations), dtype=np.int64), shapes),) if len(shapes) else ()
+    return _Marginal(mean, covariance, scatter, sizes, random, known.squares, ratio, estimator, instead)
 
 
 def _root(solved: Solved, total: Array, squares: Array) -> Array:
@@ -290,20 +272,6 @@ def _root(solved: Solved, total: Array, squares: Array) -> Array:
     if solved.random is None:
         return covariance_root(total, squares, solved.assembly.problem.constraints)
     return root_of(solved.solution.covariance)
-
-
-def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
-    """Parts with the random functions, the family of each coefficient, and the families' names."""
-    named = dict.fromkeys(family.name for own in families for family in own)
-    names = tuple(sorted(named, key=lambda name: name == IMPERFECT))  # that one last, as it is no size to be found
-    parts, place, first = [], [np.zeros(0, dtype=np.int64)], problem.size
-    for part, own in zip(problem.parts, families, strict=True):
-        if own:
-            part = WidenedPart(part, [(family.group, family.shapes) for family in own], first)
-            first += part.count
-            place += [np.full(f.count * len(f.shapes), names.index(f.name), dtype=np.int64) for f in own]
-        parts.append(part)
-    return parts, np.concatenate(place), names
 
 
 def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:

@@ -203,6 +203,13 @@ class Identified(ABC):
         return self.fits[0].joint
 
     @property
+    def alternatives(self) -> dict[str, dict[str, float]]:
+        """By effect, which others it may as well be, each with its probability; the uncertainties contain that."""
+        known = self.joint.alternatives
+        every = {} if known is None else {name: known.of(name) for name in self.effects}
+        return {name: others for name, others in every.items() if others}
+
+    @property
     def rms_residual(self) -> float:
         """Root mean square of measured minus predicted, m."""
         return rms(np.concatenate([fit.residuals for fit in self.fits]))
@@ -222,6 +229,7 @@ class Identified(ABC):
             "degrees_of_freedom": self.joint.solution.degrees_of_freedom,
             "p_value": self.joint.p_value,
             "effects": list(self.effects),
+            "alternatives": self.alternatives,
             "spread": [size.document() for size in marginal.sizes],
             "scatter_factor": marginal.scatter,
             "memory_factor": marginal.memory_factor,

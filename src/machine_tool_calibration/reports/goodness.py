@@ -109,7 +109,10 @@ def vague_words(content: Mapping[str, Any]) -> Iterator[Said]:
 
 
 def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
-    """A sentence for what is positive by its nature and negative in the readings, and a lead that may be another."""
+    """A sentence for what an effect may be instead, what is negative and positive by its nature, and a lead's alias."""
+    for name in effects:
+        if fit.alternatives and (others := list(fit.alternatives.of(name))):
+            yield say("fit.alternatives", name=name, others=together(others, say("diagnosis.or")))
     unknowns = fit.assembly.unknowns
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]
