@@ -81,7 +81,9 @@ class Estimator(ManagedNode):
                 wanted[name] if name in wanted else self.get_parameter_or(name).value
                 for name in ("effects", "effects_files")
             )
-            find_effects([name for name in effects or () if name], own_effects(files or ()))
+            own = own_effects(files or ())
+            if "effects" not in self._given:  # else they are looked at, by their own key, when that is declared
+                find_effects([name for name in effects or () if name], own)
 
     def _described(self, message: String) -> None:
         self._description = description_of(message.data)  # refused here, and not at the next request
