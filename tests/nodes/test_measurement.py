@@ -131,6 +131,14 @@ def test_a_misspelt_node_of_a_parameter_file_is_told(tmp_path):
     assert list(_misspelt(None, ["instrument"])) == []
 
 
+def test_a_misspelt_parameter_of_a_parameter_file_is_told(tmp_path):
+    file = tmp_path / "own.yaml"
+    given = "averagng: 1.0, averaging: 1.0, use_sim_time: true, qos_overrides: {}, autostart: true"
+    file.write_text(f"/**/instrument: {{ros__parameters: {{{given}}}}}\n/**: {{ros__parameters: {{a: 1}}}}\n")
+    told = list(_misspelt(file, ["instrument"]))
+    assert told == [f"{file}: instrument has no parameter 'averagng' (did you mean 'averaging'?)"]
+
+
 def test_a_listener_that_ends_is_started_again_and_what_it_missed_is_said(tmp_path):
     why, done = "recorder was ended by SIGKILL", []
     graph = SimpleNamespace(

@@ -27,6 +27,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, StatusTopic
+from machine_tool_calibration.nodes.ros.node import OF_ROS, parameters_of
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
@@ -204,11 +205,15 @@ def _require_possible(setting: Setting, procedure: Procedure) -> None:
 
 
 def _misspelt(parameters: Path | None, nodes: Collection[str]) -> Iterator[str]:
-    """Names in a parameter file that are hardly those of other nodes."""
+    """Names in a parameter file that are hardly those of other nodes, and parameters that a node does not have."""
     content = None if parameters is None else read_yaml(parameters).value
-    for key in content if isinstance(content, dict) else ():
-        name = str(key).rsplit("/", 1)[-1]
-        if name not in nodes and (hint := did_you_mean(name, nodes)):
+    for key, own in content.items() if isinstance(content, dict) else ():
+        name = key.rsplit("/", 1)[-1]
+        if name in nodes and isinstance(own, dict):
+            known = (*parameters_of(name), *OF_ROS, "qos_overrides")
+            odd = (one for one in map(str, own.get("ros__parameters") or ()) if one.split(".")[0] not in known)
+            yield from (f"{parameters}: {name} has no parameter {one!r}{did_you_mean(one, known)}" for one in odd)
+        elif name not in nodes and (hint := did_you_mean(name, nodes)):
             yield f"{parameters}: no node {name!r} is started{hint}"
 
 

@@ -40,7 +40,14 @@ _REASON_LENGTH = 200  # characters of a reason
 CALLS = QoSProfile(depth=1000)
 _FAREWELL = 0.5  # s in which the last messages arrive; one that has been killed never has them
 _LOOK_FOR_NAMESAKES, _LOOKS_AT_NAMESAKES = 10.0, 3  # s; a node that was killed is known for some 20 s
-_OF_ROS = ("use_sim_time", "start_type_description_service")  # parameters that every node has
+OF_ROS = ("use_sim_time", "start_type_description_service")
+"""Parameters that every node has."""
+
+
+def parameters_of(kind: str) -> dict[str, Any]:
+    """The parameters of a node, by its module's name: entries of `parameters.yaml`."""
+    every = yaml.safe_load(_PARAMETERS.read_text(encoding="utf-8"))
+    return {**every["every_node"], **every[kind]}
 
 
 class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
@@ -61,7 +68,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
         self._fixed = {"use_sim_time"}  # parameters that are set while the node is not configured
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **more)
         # what was given, until the node declares it
-        self._given = set(self.get_parameters_by_prefix("")) - set(_OF_ROS)
+        self._given = set(self.get_parameters_by_prefix("")) - set(OF_ROS)
         if not isinstance(clock := self.get_parameter("use_sim_time").value, bool):
             raise CalibrationError(f"parameter use_sim_time is {clock!r}, neither true nor false")
         self.add_on_set_parameters_callback(self._set)
@@ -234,8 +241,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         self.fault = ""  # why the last transition failed; empty if it did not
         self.done = False  # whether the node has nothing more to do, which ends its process
         self._kept: set[Any] = set()  # what the node has before it is activated
-        every = yaml.safe_load(_PARAMETERS.read_text(encoding="utf-8"))
-        entries = every["every_node"] | every[kind]
+        entries = parameters_of(kind)
         for name, entry in entries.items():  # what rclpy would take letter by letter, or pass over
             if isinstance(entry["default"], list) and isinstance(given := self.get_parameter_or(name).value, str):
                 raise CalibrationError(f"parameter {name} is a list: {name}:=[{given}]")
