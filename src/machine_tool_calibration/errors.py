@@ -35,9 +35,11 @@ def one_line(text: object) -> str:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """` (did you mean 'backlash_x'?)` for the end of a message, with the nearest known name; empty if none is near.
 
-    All that differ by their last letter, as by the axis, where the name ends with none of these.
+    All that differ by their last letter, as by the axis, where the name ends with none of these. One that differs by
+    its capitals alone is near.
     """
-    near = difflib.get_close_matches(name, list(known), n=6) if isinstance(name, str) else []
+    names, text = list(known), name if isinstance(name, str) else ""
+    near = [one for one in names if one.lower() == text.lower()] or difflib.get_close_matches(text, names, n=6)
     alike = [one for one in near if one[:-1] == near[0][:-1]] if near else []
     alike = [one for one in alike if one[-1:] == name[-1:]] or alike
     return f" (did you mean {' or '.join(map(repr, sorted(alike)))}?)" if near else ""

@@ -288,6 +288,9 @@ def test_every_effect_of_the_catalogue_has_its_tests() -> None:
 def test_an_unknown_effect_is_refused_with_a_hint() -> None:
     with pytest.raises(ModelError, match=r"did you mean 'backlash_a' or .*'backlash_z'\?"):
         find_effects(["backlash_w"])
+    for name, meant in (("exx", "EXX"), ("Backlash_X", "backlash_x")):
+        with pytest.raises(ModelError, match=rf"unknown effect '{name}' \(did you mean '{meant}'\?\)"):
+            find_effects([name])
     with pytest.raises(ModelError, match="named twice"):
         find_effects(["scale", "scale"])
 

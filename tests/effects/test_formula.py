@@ -112,6 +112,8 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
         ({"formula": "b * dir_y * exp(-time / tau) + c"}, "here c, dir_y, time, are columns of the session"),
         ({"formula": "b * (time + x) * exp(-time / tau)"}, "a quantity in second where one in meter"),
         ({"formula": "b * dir_y"}, "does not hold the coefficient 'tau'"),
+        ({"formula": "b * 0 * dir_y * exp(-time / tau)"}, "the formula is zero whatever b is"),
+        ({"formula": "b * dir_y * exp(-time / tau) +"}, "not understood at character 31"),
         ({"enters": "q"}, "enters"),
         ({"colour": "red"}, "colour"),
         ({"coefficients": {"b": {"unit": "m", "low": 1e-5, "high": -1e-5}}}, "low to high, not 1e-05 to -1e-05"),
@@ -176,13 +178,18 @@ def test_temperatures_in_degrees_celsius_count_in_kelvin(unit: str) -> None:
 
 
 @pytest.mark.parametrize("formula", ["b **", "b" * 2000, "b * (time + x) * exp(-time / tau)", "b * dir_y"])
-def test_a_wrong_formula_in_a_file_names_the_file_and_the_effect(tmp_path: Path, formula: str) -> None:
+def test_a_wrong_formula_in_a_file_names_the_file_the_line_and_the_effect(tmp_path: Path, formula: str) -> None:
     file = tmp_path / "own.yaml"
-    file.write_text(yaml.safe_dump({"effects": [SETTLING | {"formula": formula}]}))
+    file.write_text("# mine\n" + yaml.safe_dump({"effects": [SETTLING | {"formula": formula}]}))
     with pytest.raises(ModelError) as caught:
         read_effects(file)
-    assert str(caught.value).startswith(f"{file}: effect {SETTLING['id']}: ")
+    assert str(caught.value).startswith(f"{file} line 3: effect {SETTLING['id']}: ")
     assert str(caught.value).count(f"effect {SETTLING['id']}") == 1
+
+
+def test_a_formula_that_is_zero_nearly_everywhere_is_one() -> None:
+    for window in ("abs(x - 9) + x - 9", "x * (1 + sign(x - 0.30)) * (1 - sign(x - 0.30001))"):
+        FormulaEffect(SETTLING | {"formula": f"b * exp(-time / tau) * ({window}) / x"})
 
 
 def test_the_example_file_is_read_and_damage_is_told(tmp_path: Path) -> None:

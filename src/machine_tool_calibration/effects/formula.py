@@ -33,7 +33,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.record import Record, validated
+from machine_tool_calibration.session.record import Record, place_in, validated
 from machine_tool_calibration.session.text import read_yaml
 from machine_tool_calibration.session.values import Finite
 
@@ -118,7 +118,7 @@ def parse(text: str) -> Expression:
             raise RecursionError
         expression.evaluate(dict.fromkeys(expression.names, 1.0))
     except SyntaxError as error:
-        place = max(error.offset or 1, 1)
+        place = max(error.offset or len(plain) + 1, 1)  # 0 where something is missing at the end
         place -= len(_NAME.findall(plain[: place - 1]))
         raise ModelError(f"formula {shown}: not understood at character {place}") from None
     except (RecursionError, MemoryError):
@@ -299,6 +299,12 @@ class FormulaEffect(Effect):
             raise ModelError(self._constant_part(names))
         if not np.allclose(mixed, expected, rtol=1e-6, equal_nan=True):
             raise ModelError(f"the formula is not linear in {', '.join(names)}; name other unknowns under shapes")
+        # Of any size and sign: what begins late, or far out, is zero elsewhere, and what has signs nearly everywhere.
+        anywhere = {n: rng.choice([-1, 1], 400) * 10 ** rng.uniform(-6, 6, 400) for n in values} | self._constants
+        for name in names:
+            column = self._expression.evaluate(anywhere | {n: float(n == name) for n in names})
+            if not np.any(np.nan_to_num(column)) and "sign" not in self._expression.text:
+                raise ModelError(f"the formula is zero whatever {name} is")
 
     def _constant_part(self, names: list[str]) -> str:
         """What is wrong with a formula that is not zero where its coefficients are."""
@@ -339,15 +345,17 @@ def read_effects(path: Path) -> list[Effect]:
     A SessionError: not such a file, or not YAML; one line with the line in the file; a ModelError if a wrong
     definition; one line that says what and where.
     """
-    content = read_yaml(path, _LARGEST_FILE).value
+    document = read_yaml(path, _LARGEST_FILE)
+    content = document.value
     if not isinstance(content, dict) or set(content) != {"effects"} or not isinstance(content["effects"], list):
         raise ModelError(f"{path}: one key, effects, with a list of definitions")
     out: list[Effect] = []
     for number, entry in enumerate(content["effects"], start=1):
+        place = ("effects", number - 1)
         if not isinstance(entry, dict):
-            raise ModelError(f"{path}: effect {number} is not a definition")
+            raise ModelError(f"{place_in(str(path), document, place)}: effect {number} is not a definition")
         try:
             out.append(FormulaEffect(entry, f"effect {number}"))
         except ModelError as error:
-            raise ModelError(f"{path}: {error}") from None
+            raise ModelError(f"{place_in(str(path), document, place)}: {error}") from None
     return out
