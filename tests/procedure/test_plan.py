@@ -78,13 +78,13 @@ def test_procedures_that_the_package_brings_can_be_planned(file):
     [
         ("dwell: 1.0", "dwel: 1.0", "small.yaml line 16: unknown key 'motion.dwel'"),
         ("id: B", "id: A", "small.yaml: setups has the id 'A' twice"),
-        ("y: [0.1, 0.2]", "y: [0.1, 0.5]", "procedure small: target 3 is at y = 0.5, outside the travel 0 to 0.4"),
-        ("y: [0.1, 0.2]", "a: [0.1, 0.2]", "procedure small: path names the axis 'a'; the machine has c, x, y, z"),
+        ("y: [0.1, 0.2]", "y: [0.1, 0.5]", "small.yaml: target 3 is at y = 0.5, outside the travel 0 to 0.4"),
+        ("y: [0.1, 0.2]", "a: [0.1, 0.2]", "small.yaml: path names the axis 'a'; the machine has c, x, y, z"),
         ("y: [0.1, 0.2]", "y: []", "small.yaml line 14: path: grid.y has no position"),
         ("count: 3", "count: 1000000", "small.yaml line 14: path: grid has 2000000 targets; at most 1000000"),
         ("{dwell: 1.0}", "{dwell: 1.0e+300}", "small.yaml line 16: motion.dwell"),
         ("{dwell: 1.0}", "{speed: {x: 1.0e-30}}", "small.yaml line 16: motion.speed.x"),
-        ("{dwell: 1.0}", "{speed: {q: 1.0}}", "procedure small: motion.speed names the axis 'q'; the machine has"),
+        ("{dwell: 1.0}", "{speed: {q: 1.0}}", "small.yaml: motion.speed names the axis 'q'; the machine has"),
     ],
 )
 def test_defects_are_named_with_their_place(old, new, message):

@@ -141,7 +141,7 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
     """
     if procedure.path.azimuth is not None:
         raise SessionError(
-            f"procedure {procedure.name}: path.azimuth is to find a pointer's centre or zero (mtcal align-pointer); no "
+            f"{procedure.source}: path.azimuth is to find a pointer's centre or zero (mtcal align-pointer); no "
             "errors of the machine come out of it that could be forecast"
         )
     made = plan(procedure, _MOST_READINGS)
@@ -161,7 +161,7 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
     columns["relative_humidity"] = np.full(len(steps), 0.5)
     spec = method_spec(description.method)
     if spec.planned is None:
-        raise SessionError(f"procedure {procedure.name}: nothing is foretold of a {description.method} session")
+        raise SessionError(f"{procedure.source}: nothing is foretold of a {description.method} session")
     path, more, labels = load(spec.planned)(procedure, steps, setup)
     columns |= more
     noise = description.standard_uncertainty.displacement * np.random.default_rng(_SEED).normal(size=len(steps))

@@ -105,7 +105,7 @@ class Offer:
 
     def procedure_of(self, choice: Choice) -> Procedure:
         """A plan as a procedure."""
-        return parse_procedure(self.text(choice), self.procedure.name)
+        return parse_procedure(self.text(choice), self.procedure.source)
 
     def text(self, choice: Choice) -> str:
         """The file of a plan's procedure; comments are lost."""

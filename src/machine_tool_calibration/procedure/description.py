@@ -141,7 +141,8 @@ class _File(Record):
 class Procedure(Record):
     """A measurement to be made."""
 
-    name: str  # for folders and messages
+    source: str  # where it was read, for messages
+    name: str  # for folders
     session: Description  # what `session.yaml` will say
     path: Path  # the targets of one run; without targets for a step diagonal, where they follow from the session
     motion: Motion  # speeds, accelerations and waiting times
@@ -172,4 +173,5 @@ def parse_procedure(text: str, source: str) -> Procedure:
             if given:
                 raise SessionError(f"{source}: path.{key} is for the method rotary_axis; this is {session.method}")
     path = content.path or _FROM_SESSION
-    return Procedure(name=content.name, session=session, path=path, motion=content.motion, choices=content.choices)
+    motion, choices = content.motion, content.choices
+    return Procedure(source=source, name=content.name, session=session, path=path, motion=motion, choices=choices)

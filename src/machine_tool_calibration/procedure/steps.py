@@ -50,7 +50,7 @@ def touch_steps(procedure: Procedure) -> Iterator[Step]:
     held = _held(procedure)
     part, standoff = Part(session), procedure.motion.approach
     if standoff <= 0:
-        raise SessionError(f"procedure {procedure.name}: motion.approach must be positive: a touch begins off the part")
+        raise SessionError(f"{procedure.source}: motion.approach must be positive: a touch begins off the part")
     safe = {"z": session.machine.travel["z"][1]} if "z" in session.machine.travel else {}
     order = range(len(session.workpiece))
     before: dict[str, float] | None = None
@@ -79,7 +79,7 @@ def _held(procedure: Procedure) -> dict[str, float]:
     points = procedure.path.points
     if points is None or len(points) != 1 or {"x", "y", "c"} & points[0].keys():
         raise SessionError(
-            f"procedure {procedure.name}: path of a probing procedure says only where the other axes stand, as in "
+            f"{procedure.source}: path of a probing procedure says only where the other axes stand, as in "
             "points: [{z: -0.01}]; the points to be touched are the workpiece's"
         )
     return dict(points[0])
@@ -91,7 +91,7 @@ def check_travel(procedure: Procedure, position: Mapping[str, float], what: str)
         low, high = _travel(procedure, name)
         if not low <= value <= high:
             raise SessionError(
-                f"procedure {procedure.name}: {what} {name} = {value:.6g}, outside the travel {low:g} to {high:g}"
+                f"{procedure.source}: {what} {name} = {value:.6g}, outside the travel {low:g} to {high:g}"
             )
 
 
@@ -119,7 +119,7 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
     axis = session.machine.table_axis.lower()
     forth = targets_of(procedure)
     if any(set(place) != {axis} for place in forth):
-        raise SessionError(f"procedure {procedure.name}: path of a rotary axis names {axis} and nothing else")
+        raise SessionError(f"{procedure.source}: path of a rotary axis names {axis} and nothing else")
     runs = []
     marks = range(len(session.targets))
     for setup, repeat in product(session.setups, range(session.repeats)):
@@ -265,7 +265,7 @@ def targets_of(procedure: Procedure) -> list[dict[str, float]]:
     for name in targets[0]:
         if name not in axes:
             raise SessionError(
-                f"procedure {procedure.name}: path names the axis {name!r}; the machine has {', '.join(sorted(axes))}"
+                f"{procedure.source}: path names the axis {name!r}; the machine has {', '.join(sorted(axes))}"
             )
     for number, target in enumerate(targets):
         check_travel(procedure, target, f"target {number} is at")
@@ -314,18 +314,18 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
     """
     maker = method_spec(procedure.session.method).steps
     if maker is None:
-        raise SessionError(f"procedure {procedure.name}: no procedure makes a {procedure.session.method} session")
+        raise SessionError(f"{procedure.source}: no procedure makes a {procedure.session.method} session")
     session = procedure.session
     has_pointer = isinstance(session, sessions.TrackingInterferometer) and session.pointing == "open_loop"
     if procedure.path.azimuth is not None and not (has_pointer and session.axes == "xy"):
         raise SessionError(
-            f"procedure {procedure.name}: path.azimuth is for an open-loop pointer in the plane, to find its rotation "
+            f"{procedure.source}: path.azimuth is for an open-loop pointer in the plane, to find its rotation "
             "centre and zero angle"
         )
     steps = tuple(islice(load(maker)(procedure), None if most is None else most + 1))
     if most is not None and len(steps) > most:
         raise SessionError(
-            f"procedure {procedure.name}: has more than {most} readings, which are too many to forecast; fewer repeats "
+            f"{procedure.source}: has more than {most} readings, which are too many to forecast; fewer repeats "
             "or setups or a coarser grid tell as much: uncertainties fall with the root of the number of readings"
         )
     limits = axis_limits(procedure)
@@ -341,8 +341,7 @@ def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:
         for name in table:
             if name not in names:
                 raise SessionError(
-                    f"procedure {procedure.name}: motion.{key} names the axis {name!r}; "
-                    f"the machine has {', '.join(names)}"
+                    f"{procedure.source}: motion.{key} names the axis {name!r}; the machine has {', '.join(names)}"
                 )
     kinds = {name: "linear" if name.upper() in chain.linear else "rotary" for name in names}
     return {

@@ -45,13 +45,13 @@ def _angles(procedure: Procedure) -> list[float]:
     grid = procedure.path.grid or {}
     if set(grid) != {"angle"}:
         raise SessionError(
-            f"procedure {procedure.name}: path of circles is grid: {{angle: …}}, from the plane's first axis towards "
+            f"{procedure.source}: path of circles is grid: {{angle: …}}, from the plane's first axis towards "
             "its second, rad; centre and radius are the setups'"
         )
     entry = grid["angle"]
     angles = entry.values() if isinstance(entry, Spread) else list(entry)
     if len(angles) < 2 or not (np.diff(angles) > 0).all():
-        raise SessionError(f"procedure {procedure.name}: path.grid.angle must increase, over two angles at least")
+        raise SessionError(f"{procedure.source}: path.grid.angle must increase, over two angles at least")
     return angles
 
 
