@@ -36,7 +36,8 @@ def test_json_holds_every_effect(verb: Verb) -> None:
     for entry in by_id.values():
         assert entry["formula"] and entry["source"] and entry["title"]
         assert all(c["low"] < c["high"] for c in entry["coefficients"])
-    assert by_id["backlash_x"]["columns"] == ["x", "dir_x"]
+    assert by_id["backlash_x"]["columns"] == ["x", "dir_x"] and by_id["backlash_x"]["beside"] == ""
+    assert by_id["second_periodic_x"]["beside"] == "pitch_periodic_x"
     assert by_id["warmup_y"]["nonlinear"][0]["name"] == "tau"
 
 
@@ -49,6 +50,7 @@ def test_one_effect_in_full_says_what_each_method_leaves(verb: Verb) -> None:
     assert "not in tracking_2d, tracking_3d: does not occur with tracking interferometer" in " ".join(first.split())
     assert "b (half width): 0 µm to 50.0 µm" in second
     assert "ISO 230-2" in second
+    assert "looked for:    beside pitch_periodic_x only" in verb("effects", "second_periodic_x").out
 
 
 def test_effects_that_differ_by_the_axis_share_a_line() -> None:

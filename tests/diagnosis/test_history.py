@@ -54,6 +54,8 @@ def test_a_history_that_contradicts_itself_is_refused() -> None:
     for models, current in (([entry(), entry()], 1), ([entry()], 3), ([entry(parent=9)], 1), ([entry(parent=1)], 1)):
         with pytest.raises(ValidationError):
             History(models=tuple(models), current=current)
+    with pytest.raises(ValidationError, match="used"):
+        Entry.model_validate({**entry().model_dump(), "used": 0})
 
 
 @pytest.mark.parametrize("variant", ["free", "rigid_body"])

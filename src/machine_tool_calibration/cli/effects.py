@@ -75,6 +75,8 @@ def _described(effect: Effect) -> Iterator[Part]:
         "instruments": ", ".join(i.replace("_", " ") for i in effect.instruments) or "all",
         "source": effect.source,
     }
+    if effect.beside:
+        lines["looked for"] = f"beside {effect.beside} only, as it looks the same by itself"
     rows = tuple((f"  {name}:", text) for name, text in lines.items())
     yield TextTable(f"{effect.id}: {effect.title}", ("", ""), rows)
     yield shown_table(found)

@@ -61,7 +61,7 @@ class Entry(Record):
     alternatives: dict[str, dict[str, Share]] = Field(default_factory=dict)
     change: str = ""  # what it has and its parent has not, in a few words
     data: str  # fingerprint of the readings; another one means other readings
-    used: int  # number of readings in the fit
+    used: Annotated[int, Field(ge=1)]  # number of readings in the fit
     set_aside: tuple[int, ...] = ()  # rows of readings that were set aside, of one session
     kept: tuple[int, ...] = ()  # rows that were said to be sound, however far they stand out, of one session
     rms_residual: Finite  # m

@@ -54,6 +54,7 @@ def effect_document(effect: Effect) -> dict[str, Any]:
         "nonlinear": [picked(s, "name", "unit", "low", "high", "discrete") for s in effect.shapes],
         "columns": list(effect.needs),
         "methods": list(effect.methods),
+        "beside": effect.beside,
         "for_each_setup": effect.setup_level,
     }
 
