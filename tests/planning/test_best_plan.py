@@ -328,7 +328,7 @@ def test_places_seen_along_one_line_take_up_what_their_readings_could_tell() -> 
 
 
 def test_an_effect_that_no_plan_tells_is_said() -> None:
-    with pytest.raises(ModelError, match="no plan of these candidates tells"):
+    with pytest.raises(ModelError, match="no plan of these candidates tells scale:"):
         best_plan(PLANE, "plane.yaml", Assumed(), told=["scale"])
     with pytest.raises(ModelError, match="backlash_x"):
         best_plan(PLANE, "plane.yaml", Assumed(), told=["backlsh_x"])

@@ -12,7 +12,9 @@ import numpy as np
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import refuse_idle
 from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.checks import check_session
@@ -120,8 +122,10 @@ def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
 
     All that the whole session determines has to be determined before its U counts; what it does not allow is refused.
     """
+    session = chosen.sessions[0]
+    refuse_idle(find_effects(until.told, chosen.own), build_model(session, chosen.model)[0].observations)
     wanted = determined(chosen)
-    for part in parts(session := chosen.sessions[0]):
+    for part in parts(session):
         whole = len(part.readings) == len(session.readings)
         yield reached(chosen.instead(0, part), until, wanted, whole=whole)
 

@@ -246,16 +246,20 @@ def _repeats(inner: Array, column: int, taken: Sequence[int]) -> bool:
     return bool(inner[column, column] - inner[pick, column] @ weights < _REPEATED)
 
 
+def refuse_idle(effects: Sequence[Effect], observations: Observations) -> None:
+    """A ModelError if an effect cannot act in these readings."""
+    for effect in effects:
+        if (why := effect.why_not(observations)) is not None:
+            raise ModelError(f"effect {effect.id}: {why}")
+
+
 def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     """The model with these effects; nonlinear coefficients are fitted and published with their uncertainty.
 
     A ModelError if an effect cannot act in these readings.
     """
     observations = model.observations
-    for effect in effects:
-        why = effect.why_not(observations)
-        if why is not None:
-            raise ModelError(f"effect {effect.id}: {why}")
+    refuse_idle(effects, observations)
     if not effects:
         return model
     bare = fit_models([model]).fits[0]

@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.effects.effect_terms import effect_term, refuse_idle
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
@@ -184,8 +184,8 @@ def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tup
     shared = assumed.errors(observed) if assumed.errors is not None else None
     candidates = Candidates(everything, offered.unit_of(observed), known, shared)
     if told and not candidates.told.all():
-        names = [p.name for p in everything.assembly.parameters if p.owner in told]
-        lost = [name for name, good in zip(names, candidates.told, strict=True) if not good]
+        names = [p.owner for p in everything.assembly.parameters if p.owner in told]
+        lost = dict.fromkeys(name for name, good in zip(names, candidates.told, strict=True) if not good)
         raise ModelError(f"no plan of these candidates tells {', '.join(lost)}: the model takes it up")
     return candidates, known.points if told else known.points[candidates.told], shared is not None
 
@@ -198,11 +198,9 @@ def _foretold(procedure: Procedure, assumed: Assumed, told: Sequence[str]) -> Jo
 
 def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     """The model with effects, nonlinear coefficients in the middle of where they are looked for."""
+    refuse_idle(effects, model.observations)
     terms = []
     for effect in effects:
-        why = effect.why_not(model.observations)
-        if why is not None:
-            raise ModelError(f"effect {effect.id}: {why}")
         grid = effect.shape_grid(model.observations)
         terms.append(effect_term(effect, model.observations, grid[len(grid) // 2] if grid else ()))
     return model.with_terms(terms)
