@@ -49,7 +49,9 @@ def test_an_entry_that_was_wrong_is_withdrawn_and_entered_again(tmp_path: Path, 
     verb("fleet", book, session)
     assert not verb("logbook", "list", book, "--json").document["entries"]
     assert "no entry 1, or it is withdrawn" in verb.refused("logbook", "withdraw", book, 1, "--why", "again")
-    assert "entered as number 2, mill" in verb("logbook", "add", book, session, "--machine", "mill").text
+    again = verb("logbook", "add", book, session, "--machine", "mill")
+    assert "entered as number 2, mill" in again.text
+    assert "the machine is mill, as --machine says, and not mil, as session.yaml does" in again.err
     listed = verb("logbook", "list", book, "--json").document
     assert [(one["number"], one["machine"]) for one in listed["entries"]] == [(2, "mill")]
     assert [(one["number"], one["why"]) for one in listed["withdrawn"]] == [(1, "misspelt")]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of other programs become sessions, and the machine that measured them is found again."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -365,6 +366,13 @@ def test_times_of_day_go_on_past_midnight(pattern: str | None, tmp_path: Path) -
     )
     np.testing.assert_array_equal(made.session.readings.columns["x"], [0.0, 0.1, 0.2, 0.3])
     np.testing.assert_array_equal(made.session.readings.columns["time"], [0.0, 30.0, np.nan, 90.0])
+
+
+@pytest.mark.parametrize("stamp", ["25:00:00", "10:99:00", "2026-99-99 10:00:00", "30.2.2026 10:00:00"])
+def test_a_time_that_there_is_not_is_refused_with_its_line(stamp: str, tmp_path: Path) -> None:
+    rows = f"X,M,T\n0,0.001,10:00:00\n100,100.001,{stamp}\n"
+    with pytest.raises(SessionError, match=rf"line 3: column 'T': '{re.escape(stamp)}' is no time stamp"):
+        points(tmp_path, rows, columns={"x": "X", "actual_x": "M", "time": "T"})
 
 
 def test_a_minus_sign_is_one(tmp_path: Path) -> None:

@@ -56,6 +56,7 @@ def add(
 
     A session that is in BOOK already, by the SHA-256 of its data, is said and changes nothing.
     """
+    from machine_tool_calibration.session.provenance import name_of_machine
     from machine_tool_calibration.trends.logbook import Logbook, entry_of
     from machine_tool_calibration.trends.statement import sizes_of
 
@@ -67,6 +68,9 @@ def add(
             fit = wanted.fit([path], progress)
             sizes = sizes_of(fit.result, progress)
         session, about = fit.measurement.sessions[0], {"machine": machine, "date": date, "instrument": instrument}
+        stated = name_of_machine(session.description.about)
+        if machine and stated and machine.strip() != stated.strip():
+            shared.note(say("logbook.instead", label=label, machine=machine, stated=stated))
         told, added = Logbook(book).add(entry_of(session, label, fit.document(), sizes, **about))
         said.append({"label": label, "added": added, "number": told.number, "sha256": told.sha256})
         if not as_json:

@@ -22,7 +22,7 @@ from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_bytes, reject_foreign_encoding
 from machine_tool_calibration.units import si_values
 
-_CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
+_CLOCK = re.compile(r"([01]?\d|2[0-3]):[0-5]\d(:[0-5]\d([.,]\d+)?)?")
 _GERMAN = re.compile(r"(\d?\d)\.(\d?\d)\.(\d{4})[ T](.*)")
 _DAY = 86400.0
 _NO_DATE = date(1900, 1, 1)  # of `datetime.strptime` where the text has none
