@@ -201,6 +201,7 @@ EFFECT = "effects:\n- {{id: creep, enters: reading, formula: r * time, coefficie
         (read_spec, "plan: {method: direct}\nnoize: 1e-7\n", "line 2: unknown key 'noize' (did you mean 'noise'?)"),
         (read_spec, "plan: {method: direct}\ndirect: 1\n", "line 2: unknown key 'direct'"),
         (read_machine, "probing: 1\n", "line 1: unknown key 'probing'"),
+        (read_machine, "# random: null\n", ": the file is empty"),
         (lambda path: read_site(str(path)), "seed: -1\n", "line 1: seed must be at least 0, not -1"),
         (lambda path: read_site(str(path)), "sead: 1\n", "line 1: unknown key 'sead' (did you mean 'seed'?)"),
         (read_history, "format: mtcal-history/1\nmodels: 3\n", "line 2: models must be a list, not 3; mend the file"),

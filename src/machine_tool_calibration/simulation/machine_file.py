@@ -167,8 +167,9 @@ def read_machine(path: Path | str) -> MachineSpec:
 def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] = ()) -> AnyRecord:
     """A record from a YAML file; a CalibrationError names file, line and key. `unnamed` is as for `first_defect`."""
     document = read_yaml(path)
-    content = document.value if document.value is not None else {}
-    return validated(record, content, str(path), document, unnamed=unnamed, refusal=CalibrationError)
+    if document.value is None:  # not what it was meant to say
+        raise CalibrationError(f"{path}: the file is empty")
+    return validated(record, document.value, str(path), document, unnamed=unnamed, refusal=CalibrationError)
 
 
 def machine_document(machine: VirtualMachine) -> dict[str, Any]:
