@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.cli.measuring import readings_bar
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.recording.session_bag import session_from_bag
@@ -66,7 +67,7 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
     more = ("--no-record", "--namespace", "cell_7", "--model", "rigid_body")
     status, said = mtcal("run", procedure, "--site", site, *more)
     assert status == 0, said.err
-    assert "72 readings" in said.out
+    assert "72 readings" in said.out and "finished (72 of 72 readings)\n" in said.err
     output = tmp_path / "mtcal_output" / "small"
     assert read_session(output / "session").readings.displacement.shape == (72,)
     assert json.loads((output / "result.json").read_text())["model"] == "rigid_body"
@@ -101,6 +102,14 @@ def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
     again = json.loads(said.out)["reached"]
     assert [(one["setup"], one["enough"]) for one in again] == [(one["setup"], one["enough"]) for one in as_left]
     assert again[-1]["U"] == pytest.approx(stages[-1]["U"])
+
+
+def test_how_many_readings_there_are_stands_once_with_every_change_of_it(capfd):
+    with readings_bar() as progress:
+        for text, done in (("starting", 0), ("12 readings at P1", 3), ("finished", 9), ("closing", 9)):
+            progress(text, done, 72)
+    said = capfd.readouterr().err.splitlines()
+    assert said == ["starting", "12 readings at P1 (3 of 72 readings)", "finished (9 of 72 readings)", "closing"]
 
 
 @pytest.mark.parametrize(

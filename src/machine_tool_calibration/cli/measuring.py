@@ -58,8 +58,7 @@ def readings_bar() -> Iterator[Counting]:
                 update(description=text, completed=done, total=total)
             elif text != last:
                 # The count once for every change of it: what is done before and after the readings has none.
-                told = done == counted or " readings" in text
-                screen.print(text if told else f"{text} ({done} of {total} readings)")
+                screen.print(text if done == counted else f"{text} ({done} of {total} readings)")
                 last, counted = text, done
 
         yield show

@@ -51,7 +51,7 @@ _LONGEST = 40  # readings of a stage: a minute or two
 _COUNTERS = ("resent", "stale", "unstable", "recoveries", "restarts")
 
 Counting = Callable[[str, int, int], None]
-"""Called with what is going on, and how many of how many readings there are."""
+"""Called with what is going on, without their number, and how many of how many readings there are."""
 
 
 @dataclass(frozen=True)
@@ -398,7 +398,7 @@ def _run(client: Client, total: int, progress: Counting, stages: Stages | None =
             again = "the datum is lost with it, so what is missing cannot be added: run the procedure again"
             raise CalibrationError(f"the procedure was started anew in the middle of the measurement; {again}")
         begun = begun or state == "running"
-        progress(status.message, status.number("captured"), total)
+        progress(state if state in ("finished", "aborted") else status.message, status.number("captured"), total)
         return state in ("finished", "error", "aborted") or (stages is not None and state == "paused")
 
     try:
