@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, groups, occurrence, rms
+from machine_tool_calibration.arrays import (
+    Array,
+    BoolArray,
+    IntArray,
+    first_of_group,
+    groups,
+    means_of,
+    occurrence,
+    rms,
+)
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
@@ -283,7 +292,7 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
     order = np.argsort(place, kind="stable")
     group = np.empty(len(place), dtype=np.int64)
     group[order] = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME_TARGET)]
-    target = (np.bincount(group, place) / np.bincount(group))[group]
+    target = means_of(group, place)
     leading = int(np.argmax(np.abs(line)))
     recorded = readings.columns.get(f"dir_{'xyz'[leading]}")
     again = np.zeros(len(mine), dtype=bool)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, groups, means_of
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
@@ -115,8 +115,7 @@ def _made(effect: Effect, plan: str) -> tuple[Fit, Array] | None:
         moved[np.searchsorted(readings.row, observations.readings.row)] += own
         session = clean.with_readings(replace(readings, displacement=moved))
     change = (session.readings.displacement - clean.readings.displacement)[observations.readings.row]
-    for run in np.unique(observations.run):
-        change[observations.run == run] -= change[observations.run == run].mean()
+    change -= means_of(groups(observations.run), change)
     if np.abs(change).max() < 1e-3 * AMPLITUDE:
         return None
     return fit_models([build_model(session)[0]]).fits[0], change

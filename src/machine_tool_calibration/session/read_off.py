@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, group_ranges
 
 # How far apart repeats of a place are at most, m or rad, and how many times as far places are at least. What is no
 # farther apart than the first is one place in any case; equal steps beyond it were meant.
@@ -58,9 +58,7 @@ def _places(position: Array) -> IntArray | None:
 
 def _roundest(position: Array, place: IntArray, unit: float) -> Array:
     """(n,) of each place the number among its positions with the fewest decimals; as they are if written alike."""
-    low, high = (np.full(int(place.max()) + 1, end) for end in (np.inf, -np.inf))
-    np.minimum.at(low, place, position)
-    np.maximum.at(high, place, position)
+    low, _, high = group_ranges(position, place, int(place.max()) + 1)
     if not (high - low).max() > _THE_SAME:
         return position
     out = middle = 0.5 * (low + high)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, last_sign
+from machine_tool_calibration.arrays import Array, IntArray, first_of_group, last_sign
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 
 # Mean, how far a workshop is off it, and how much it wanders, in the quantity's unit.
@@ -119,11 +119,7 @@ class Scene:
 
     def since_setup(self) -> Array:
         """(n,) s since the first reading of that setup."""
-        if self.start is not None:
-            return self.time - self.start
-        first = np.full(int(self.setup.max(initial=-1)) + 1, np.inf)
-        np.minimum.at(first, self.setup, self.time)
-        return np.asarray(self.time - first[self.setup])
+        return np.asarray(self.time - (self.time[first_of_group(self.setup)] if self.start is None else self.start))
 
 
 def last_direction(command: Array, initial: float = 1.0) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, groups, means_of
 from machine_tool_calibration.estimation.solve import LEAST_EIGENVALUE
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.observations import Observations
@@ -83,9 +83,7 @@ def setup_datum(kind: str, observed: Observations) -> SetupDatum:
     if kind == "offset":
         names = tuple(Parameter(f"{name}.offset", "m", kind=Kind.OFFSET, owner=name) for name in ids)
         return SetupDatum(kind, np.ones((1, n)), names, (), np.zeros(n), say("datum.offset"))
-    count = np.maximum(np.bincount(setup, minlength=len(ids)), 1)
-    total = np.stack([np.bincount(setup, position[:, j], minlength=len(ids)) for j in range(3)], axis=1)
-    arm = position - (total / count[:, None])[setup]
+    arm = position - np.stack([means_of(groups(setup), place) for place in position.T], axis=1)
     columns = np.concatenate([direction.T, np.cross(arm, direction).T])
     # A turn moves what is at an arm's length; points in a plane leave three of the six without effect.
     used = np.abs(columns).max(axis=1, initial=0.0) > 1e-9

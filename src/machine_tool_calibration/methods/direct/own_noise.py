@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, groups, rms
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, group_ranges, groups, rms
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rounding import rounding_of
@@ -115,22 +115,10 @@ def _sound(observations: Observations, group: IntArray, least: Array) -> BoolArr
     Of two readings of which one is wrong neither is; a scatter of `least` (n,), m, is none.
     """
     place, values = observations.place, observations.readings.displacement
-    size = np.abs(values - _medians(place, values)[place])
-    again = np.bincount(place)[place] > 1
-    typical = _medians(group[again], size[again]) if again.any() else np.zeros(0)
-    scale = np.pad(typical, (0, 1 + int(group.max()) - len(typical))) / NORMAL_MEDIAN
+    count = np.bincount(place)
+    size, again = np.abs(values - group_ranges(values, place, len(count))[1][place]), count[place] > 1
+    scale = group_ranges(size[again], group[again], 1 + int(group.max()))[1] / NORMAL_MEDIAN
     return np.asarray(~again | (size <= _NO_NOISE * np.maximum(scale[group], least)))
-
-
-def _medians(group: IntArray, values: Array) -> Array:
-    """Median of each group of values (n,), by its number."""
-    order, count = np.lexsort((values, group)), np.bincount(group)
-    first = np.cumsum(count) - count
-    there = count > 0
-    out = np.zeros(len(count))
-    low, high = first + np.maximum(count - 1, 0) // 2, first + count // 2
-    out[there] = (values[order[low[there]]] + values[order[np.minimum(high, first + count - 1)[there]]]) / 2.0
-    return out
 
 
 def _of_groups(deviation: Array, left: Array, group: IntArray, least: Array) -> tuple[float, float, Array]:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array, IntArray, rigid_motions
+from machine_tool_calibration.arrays import Array, IntArray, group_ranges, rigid_motions
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
@@ -92,7 +92,7 @@ class RotaryAxisModel(MethodModel):
     def datum_path(self) -> Array:
         """(runs,) first estimate of the path at which each run reads zero, m: no single reading decides."""
         zero = self.observations.path - self.table.readings.displacement
-        return np.array([np.median(zero[self.table.run == run]) for run in range(len(self.table.run_key))])
+        return group_ranges(zero, self.table.run, len(self.table.run_key))[1]
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every station is a block: its place, and the zeros of its runs."""

@@ -160,11 +160,8 @@ def _fitted(
 def _off(table: TableReadings, stations: Array, targets: Array) -> Array:
     """(n,) readings minus what the places say, from the middle of each run, m."""
     length = np.linalg.norm(table.turned(targets) - stations[table.readings.setup], axis=1)
-    off = np.asarray(table.readings.displacement - length)
-    for run in range(int(table.run.max()) + 1):
-        mine = table.run == run
-        off[mine] -= np.median(off[mine])
-    return off
+    off = table.readings.displacement - length
+    return np.asarray(off - group_ranges(off, table.run, len(table.run_key))[1][table.run])
 
 
 def _weighted(

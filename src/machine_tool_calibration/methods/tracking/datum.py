@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, best_motion
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Group, Part
 from machine_tool_calibration.words import say
@@ -101,16 +101,6 @@ class OwnSight:
 
     def _placed(self, sigma: float, limit: Array) -> BoolArray:
         return self._values * limit[:, None] ** 2 > sigma**2
-
-
-def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Array]:
-    """Actual places (n, d), and others (k, d) that go with them, without common motion against the nominal (n, d).
-
-    The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the
-    linear datum would leave its square, half a micrometre on a metre.
-    """
-    turn, shift = best_motion(actual, nominal)
-    return actual @ turn.T + shift, others @ turn.T + shift
 
 
 class MultilaterationPart(Part):

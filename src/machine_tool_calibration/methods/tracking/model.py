@@ -12,7 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, best_motion, group_ranges, unit_vectors
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
 from machine_tool_calibration.methods.build import vaguest, without_vague
@@ -194,9 +194,8 @@ def _free(session: Session) -> TrackingModel:
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = unit_vectors(readings.column("azimuth"), elevation)
-    path = np.zeros(len(stations))
-    for s in np.unique(readings.setup):  # no single reading decides
-        path[s] = np.median((length - readings.displacement)[readings.setup == s])
+    # No single reading decides; a station that read nothing has a path of zero.
+    path = np.nan_to_num(group_ranges(length - readings.displacement, readings.setup, len(stations))[1])
     observed = Observations(session, readings, position, direction, np.zeros_like(direction), length, readings.setup)
     free = TrackingModel(
         observations=observed,
@@ -271,12 +270,12 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     result = points_in_inner_datum(part, marginal.solution, fit.index, motion, theta_motion)
     good, error, unknown = result.determined, result.value.T, result.theta[own]
     if model.follows and good.any():
-        places = np.vstack([where.T[~good], at])
-        error = np.full_like(error, np.nan)
-        turned, others = datum.turned_back(nominal.T[good], where.T[good], places)
-        error[good] = turned - nominal.T[good]
+        # The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the
+        # linear datum would leave its square, half a micrometre on a metre.
+        turn, shift = best_motion(where.T[good], nominal.T[good])
+        error = np.where(good[:, None], where.T @ turn.T + shift - nominal.T, np.nan)
         unknown = theta[own].reshape(-1, d + 1).copy()
-        unknown[:, :d] = others[-len(at) :] - stations
+        unknown[:, :d] = at @ turn.T + shift - stations
     why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
     own_u = marginal.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
     covariance = marginal.scatter**2 * result.covariance.transpose(2, 0, 1)
