@@ -185,9 +185,7 @@ def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | 
     return float(special.fdtrc(rank, draws - rank + 1, total * (draws - rank + 1) / (draws * rank)))
 
 
-def map_draws(
-    fitted: FittedSessions, draws: int, seed: int, progress: Callable[[float], None] = lambda share: None
-) -> Array:
+def map_draws(fitted: FittedSessions, draws: int, seed: int, progress: Callable[[float], None]) -> Array:
     """(draws, n, 3) deviations of a map's position errors, drawn from their joint published distribution, m."""
     base = fitted.error_map.error
     out = np.empty((draws, *base.shape))
@@ -232,14 +230,9 @@ def compare_fits(
         own.append(drawn_maps / np.sqrt(draws))
     points = first.error_map.points[pairs[0]]
     one, two = (found.error_map.error[pair] for found, pair in zip((first, second), pairs, strict=True))
-    absolute = all(is_absolute(own.content) for own in maps)
+    absolute = all(own.content.get("absolute", False) for own in maps)
     found = compare_maps(points, one, two, (own[0], own[1]), draws, labels, absolute=absolute)
     return replace(found, alone=tuple(len(own.points) - len(points) for own in maps))
-
-
-def is_absolute(content: Mapping[str, Any]) -> bool:
-    """Whether no datum leaves a motion of a map open."""
-    return bool(content.get("absolute"))
 
 
 def states(points: Array, content: Mapping[str, Any]) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, group_ranges
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
@@ -174,16 +174,13 @@ def _read(
 def _spread(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Array:
     s = blocks(measurement.scene.setup)
     offset, slope, bow = rng.normal(size=(3, s[-1] + 1))
-    time = measurement.scene.time
-    first = np.searchsorted(s, np.arange(s[-1] + 1))
-    last = np.searchsorted(s, np.arange(s[-1] + 1), side="right") - 1
-    u = 2.0 * (time - time[first][s]) / np.maximum(time[last] - time[first], 1e-9)[s] - 1.0
-    spread: Array = (
+    begin, _, end = group_ranges(measurement.scene.time, s, s[-1] + 1)
+    u = 2.0 * (measurement.scene.time - begin[s]) / np.maximum(end - begin, 1e-9)[s] - 1.0
+    return np.asarray(
         spec.spread.offset * offset[s]
         + spec.spread.slope * slope[s] * u
         + spec.spread.bow * bow[s] * (1.5 * u**2 - 0.5)
     )
-    return spread
 
 
 def _chips(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> tuple[BoolArray, Array]:

@@ -22,7 +22,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
-from machine_tool_calibration.methods.map_comparison import DRAWS, is_absolute, states
+from machine_tool_calibration.methods.map_comparison import DRAWS, states
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import Result, beside_reversal, effect_estimates
 from machine_tool_calibration.progress import Progress, untold
@@ -127,7 +127,7 @@ def of_fit(
         numbers=published,
         points=states(fitted.error_map.points, fitted.error_map.content),
         parts=_parts(published, fitted.error_map.content, fitted.effects),
-        absolute=is_absolute(fitted.error_map.content),
+        absolute=bool(fitted.error_map.content.get("absolute")),
         samples=samples,
     )
 
@@ -169,7 +169,7 @@ def _read(document: Mapping[str, Any], label: str) -> Statement:
         numbers=published,
         points=where,
         parts=_parts(published, content, document["effects"]),
-        absolute=is_absolute(content),
+        absolute=bool(content.get("absolute")),
     )
 
 

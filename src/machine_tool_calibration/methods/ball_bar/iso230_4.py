@@ -126,12 +126,9 @@ def _figures(paths: Mapping[str, _Path], both: Array, length_u: float | None) ->
     """Name, value and U of each figure."""
     for way, path in paths.items():
         yield f"G_{way}", *_range(path.about(_fitted(path)), path.u)
+    angle, u = (np.concatenate([getattr(path, name) for path in paths.values()]) for name in ("angle", "u"))
     if len(paths) == 2:
-        deviation, u = (
-            np.concatenate([p.about(both) for p in paths.values()]),
-            np.concatenate([p.u for p in paths.values()]),
-        )
-        yield "G_b", *_range(deviation, u)
+        yield "G_b", *_range(np.concatenate([path.about(both) for path in paths.values()]), u)
         if (between := _hysteresis(paths["ccw"], paths["cw"])) is not None:
             yield "H", *between
     if length_u is None:
@@ -142,7 +139,6 @@ def _figures(paths: Mapping[str, _Path], both: Array, length_u: float | None) ->
         for name, at in (("F_max", int(np.argmax(radial))), ("F_min", int(np.argmin(radial)))):
             yield f"{name}_{way}", float(radial[at]), K * float(np.hypot(path.u[at], length_u))
     if len(paths) == 2:
-        angle, u = (np.concatenate([getattr(path, name) for path in paths.values()]) for name in ("angle", "u"))
         noise = float(np.linalg.norm(np.linalg.pinv(_columns(angle))[2] * u))
         yield "D", float(both[2]), K * float(np.hypot(noise, length_u))
 

@@ -104,13 +104,11 @@ def _with_feed(description: BallBar, readings: Readings) -> Readings:
 
 def _mismatches(scales: str) -> tuple[Parameter, ...]:
     """Scale of every other axis less that of the first."""
-    first, others = scales[0], scales[1:]
-
-    def less_first(axis: str) -> Parameter:
-        name, meaning = f"scale_{axis}_less_{first}".lower(), say("unknown.scale_difference", axis=axis, first=first)
-        return Parameter(name, "1", shared=True, kind=Kind.SQUARENESS, meaning=meaning)
-
-    return tuple(map(less_first, others))
+    meaning = {axis: say("unknown.scale_difference", axis=axis, first=scales[0]) for axis in scales[1:]}
+    return tuple(
+        Parameter(f"scale_{axis}_less_{scales[0]}".lower(), "1", shared=True, kind=Kind.SQUARENESS, meaning=what)
+        for axis, what in meaning.items()
+    )
 
 
 def _mismatch_field(scales: str, position: Array) -> Array:

@@ -131,8 +131,7 @@ def choose_places(null: NullSpace, conditions: Sequence[Condition]) -> list[Plac
     with a disc on the table ECC has no effect at all, and zero at the first index would be no knowledge.
     """
     search = _Search(null, conditions)
-    choice = search.best()
-    choice = search.steadier(choice)
+    choice = search.steadier(search.best())
     return [None if search.is_idle(choice, i) else c.places[choice[i]] for i, c in enumerate(conditions)]
 
 

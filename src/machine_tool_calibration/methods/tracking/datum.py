@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Group, Part
 from machine_tool_calibration.words import say
@@ -28,25 +28,19 @@ class NetworkMotion:
         """Take centre and size from the targets (n, d)."""
         self._centre = targets.mean(axis=0)
         self._size = float(np.abs(targets - self._centre).max()) or 1.0
-        self._d = targets.shape[1]
-        self._turns = [(0, 1)] if self._d == 2 else [(1, 2), (2, 0), (0, 1)]
-        self.count = self._d + len(self._turns)  # 3 in the plane and 6 in space
+        self._motions = [0, 1, 5] if targets.shape[1] == 2 else list(range(6))
+        self.count = len(self._motions)
 
     def at(self, position: Array) -> Array:
         """(d, t, n) displacement of places (d, n) by a unit of each motion; a turn moves the farthest target by 1."""
-        arm = (position - self._centre[:, None]) / self._size
-        out = np.zeros((self._d, self.count, position.shape[1]))
-        for j in range(self._d):
-            out[j, j] = 1.0
-        for k, (a, b) in enumerate(self._turns, start=self._d):
-            out[a, k], out[b, k] = -arm[b], arm[a]
-        return out
+        d, arm = len(position), (position - self._centre[:, None]) / self._size
+        moved = rigid_motions(np.pad(arm, ((0, 3 - d), (0, 0))).T)
+        return np.ascontiguousarray(moved[:, :d, self._motions].transpose(1, 2, 0))
 
     def of_stations(self, stations: Array) -> Array:
         """(S (d + 1), t) change of the stations' unknowns: rotation centre (S, d) and dead path."""
-        moved = np.zeros((len(stations), self._d + 1, self.count))
-        moved[:, : self._d] = self.at(stations.T).transpose(2, 0, 1)
-        return moved.reshape(-1, self.count)
+        moved = self.at(stations.T).transpose(2, 0, 1)
+        return np.pad(moved, ((0, 0), (0, 1), (0, 0))).reshape(-1, self.count)
 
 
 def carried_stations(point: IntArray, station: IntArray, n_points: int, n_stations: int, dimension: int) -> BoolArray:

@@ -237,18 +237,6 @@ def _known_places(model: TrackingModel) -> Iterator[Prior]:
 _FLAT = 0.05
 
 
-@dataclass(frozen=True)
-class _Network:
-    """Targets and stations in the map's datum."""
-
-    error: Array  # (n, d) position error of the targets
-    covariance: Array  # (n, d, d)
-    good: BoolArray  # (n,) whether a target is determined
-    own: Array  # (S (d + 1),) the stations' unknowns
-    own_u: Array  # their standard uncertainties
-    why: Mapping[int, str]  # reason for each target that is not determined
-
-
 def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     """Position error of every target in the datum in which they have no common motion."""
     return _free_map(model, fit) if model.tables is None else _table_map(model, fit, model.tables)
@@ -279,7 +267,7 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
     own_u = marginal.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
     covariance = marginal.scatter**2 * result.covariance.transpose(2, 0, 1)
-    return _published(model, fit, _Network(error, covariance, good, unknown.reshape(-1), own_u, why))
+    return _published(model, fit, error, covariance, good, unknown.reshape(-1), own_u, why)
 
 
 def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
@@ -327,17 +315,19 @@ def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...])
     change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
     own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
     why = {int(k): say("undetermined.motion_missing") for k in np.flatnonzero(~good)}
-    return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))
+    return _published(model, fit, error, covariance, good, change @ fit.theta, own_u, why)
 
 
-def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
-    d, good = model.dimension, network.good
-    error = np.where(good[:, None], network.error, np.nan)
-    covariance = np.where(good[:, None, None], network.covariance, np.nan)
+def _published(
+    model: TrackingModel, fit: Fit, error: Array, covariance: Array, good: BoolArray, unknown: Array, u: Array,
+    why: Mapping[int, str],
+) -> ErrorMap:  # fmt: skip
+    """By targets that are `good` (n,) or not, and `why` not; and by unknowns of the stations (S (d + 1),) with u."""
+    d = model.dimension
+    error, covariance = np.where(good[:, None], error, np.nan), np.where(good[:, None, None], covariance, np.nan)
     error, uncertainty, covariance, vague = without_vague(fit, error, covariance)
-    fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
-    own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
-    own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
+    fixed = fit.determined[: len(unknown)]
+    own, own_u = (np.where(fixed, of_all, np.nan).reshape(-1, d + 1) for of_all in (unknown, u))
     content = {
         "points": model.targets,
         "position_error": error,
@@ -349,11 +339,11 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
         "dead_path_u": own_u[:, d],
         "datum": datum.MAP_DATUM,
     }
-    places = {k: ", ".join(f"{1e3 * v:.6g}" for v in model.targets[k]) for k in network.why}
-    lost = tuple(NotDetermined(f"target ({places[k]}) mm", why) for k, why in network.why.items())
+    places = {k: ", ".join(f"{1e3 * v:.6g}" for v in model.targets[k]) for k in why}
+    lost = tuple(NotDetermined(f"target ({places[k]}) mm", reason) for k, reason in why.items())
     lost += tuple(_vague(model, vague, j, vaguest(fit)) for j in range(d) if vague[:, j].any())
     names = [parameter.name for parameter in model.own]
-    moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
+    moved = dict(zip(names, zip(unknown.tolist(), u.tolist(), strict=True), strict=True))
     return ErrorMap(content, model.targets, in_space(error), in_space(uncertainty), in_space(covariance), lost, moved)
 
 

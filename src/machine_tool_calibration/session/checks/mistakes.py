@@ -145,22 +145,19 @@ Expected = Callable[[Session], Iterable[Held]]
 """Of a session, what in it is held against what."""
 
 
+@np.errstate(all="ignore")
 def refuse_contradictions(session: Session, place: Place, expected: Expected | None = None) -> None:
     """Refuse readings (all are there) that contradict what the session states, or what else is `expected`.
 
     A SessionError names setup, worst row, by how much it is off what, how many others are, and what is likelier meant.
     """
-    with np.errstate(all="ignore"):
-        _refuse(session, place, expected or spec_of(session).held)
-
-
-def _refuse(session: Session, place: Place, expected: Expected) -> None:
-    every = list(expected(session))
+    held_of = expected or spec_of(session).held
+    every = list(held_of(session))
     if sum(int(held.bad.sum()) for held in every) < _FEWEST and not any(_contradicted(session, h) for h in every):
         return
 
     def misfit(other: Session) -> float:
-        return float(np.mean(np.any([held.bad for held in expected(other)], axis=0)))
+        return float(np.mean(np.any([held.bad for held in held_of(other)], axis=0)))
 
     some = session.with_readings(session.readings.select(np.arange(min(len(session.readings), _ROWS))))
     slip = explanation(some, [Judgement(misfit, _slips(some), 0.0, _LEFT, _CONTRADICTING_LEFT)])
