@@ -10,14 +10,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes, merged, random_machine
-from machine_tool_calibration.simulation.motions import (
-    AxisMotion,
-    Table,
-    constant,
-    motion_names,
-    random_periodic,
-    random_smooth,
-)
+from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, random_periodic, random_smooth
 
 POINT = np.array([[0.11, 0.27, 0.19]])
 X, Y, Z = POINT[0]
@@ -26,9 +19,9 @@ X, Y, Z = POINT[0]
 def machine(chain, values, **others):
     """A machine whose error motions are constants: {"EXX": 1e-6, …}."""
     chain = Chain.parse(chain)
+    tables = {name: Table((-9.0, 9.0), (value, value), "linear") for name, value in values.items()}
     motions = {
-        axis: AxisMotion(axis, tuple((n, constant(-9.0, 9.0, values[n])) for n in motion_names(axis) if n in values))
-        for axis in chain.axes
+        axis: AxisMotion(axis, tuple((n, tables[n]) for n in motion_names(axis) if n in tables)) for axis in chain.axes
     }
     return VirtualMachine(chain, motions, **others)
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -138,12 +138,12 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
     tables: Sequence[MachineTable] = getattr(common, "tables", None) or ()
     named = ("E", "backlash_", *error_motions.SQUARENESS)
     left_out = [entry for entry in result.not_determined if entry.name.startswith(named)]
-    squareness: dict[str, tuple[float, float]] = {}
-    if "x_position" in result.error_map.content:
-        found, words = _profiles(result.error_map.content, left_out), _IN_PROFILES
-    else:
-        found, squareness = _terms(result.parameters, tables, left_out)
-        words = _OWN_SLOPE
+    content = result.error_map.content
+    of_profiles = "x_position" in content
+    known = {} if of_profiles else {e.name: (e.value, e.standard_uncertainty) for e in result.parameters}
+    every = _profiles(content) if of_profiles else _terms(known, tables)
+    found = [table for table in every if _is_whole(table, left_out)]
+    squareness = {t.name: known[t.labels[0]] for t in tables if t.is_squareness and t.labels[0] in known}
     if not found and not squareness:
         hint = "the result has none of a linear axis"
         if spec_of(sessions[0]).no_tables and not tables:
@@ -154,41 +154,24 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
     chains = [session.description.machine.kinematics for session in sessions]
     chain = next((chain for chain in chains if chain.linear), chains[0])
     model = result.model_name + (f" with {', '.join(result.effects)}" if result.effects else "")
-    backlash = _backlash(result.parameters)
+    backlash, words = _backlash(result.parameters), _IN_PROFILES if of_profiles else _OWN_SLOPE
     made = AxisTables(chain, tuple(found), squareness, backlash, tuple(left_out), common.datum, words, model)
-    content = result.error_map.content
-    return _without_levers(made, content) if "x_position" in content else made
+    return _without_levers(made, content) if of_profiles else made
 
 
-def _terms(
-    estimated: Sequence[Estimate], tables: Sequence[MachineTable], left_out: list[NotDetermined]
-) -> tuple[list[AxisTable], dict[str, tuple[float, float]]]:
-    known = {estimate.name: estimate for estimate in estimated}
-    found: list[AxisTable] = []
-    squareness = {}
+def _terms(known: Mapping[str, tuple[float, float]], tables: Sequence[MachineTable]) -> Iterator[AxisTable]:
     for table in tables:
-        estimates = [known.get(label) for label in table.labels]
-        if table.is_squareness:
-            if estimates[0] is not None:
-                squareness[table.name] = (estimates[0].value, estimates[0].standard_uncertainty)
-            continue
-        if error_motions.parse_motion(table.name).axis not in "XYZ":
-            continue
-        value = np.array([np.nan if e is None else e.value for e in estimates])
-        spread = np.array([np.nan if e is None else e.standard_uncertainty for e in estimates])
-        _take(AxisTable(table.name, table.nodes, value, spread), found, left_out)
-    return found, squareness
+        if not table.is_squareness and error_motions.parse_motion(table.name).axis in "XYZ":
+            value, u = np.array([known.get(label, (np.nan, np.nan)) for label in table.labels]).T
+            yield AxisTable(table.name, table.nodes, value, u)
 
 
-def _profiles(content: Mapping[str, Any], left_out: list[NotDetermined]) -> list[AxisTable]:
-    found: list[AxisTable] = []
+def _profiles(content: Mapping[str, Any]) -> Iterator[AxisTable]:
     for letter in "xyz":
         for components, key in (("XYZ", letter), ("ABC", f"{letter}_angular")):
             for j, component in enumerate(components if key in content else ()):
                 value, u = content[key][:, j], content[f"{key}_u"][:, j]
-                table = AxisTable(f"E{component}{letter.upper()}", content[f"{letter}_position"], value, u)
-                _take(table, found, left_out)
-    return found
+                yield AxisTable(f"E{component}{letter.upper()}", content[f"{letter}_position"], value, u)
 
 
 def _without_levers(made: AxisTables, content: Mapping[str, Any]) -> AxisTables:
@@ -204,15 +187,12 @@ def _without_levers(made: AxisTables, content: Mapping[str, Any]) -> AxisTables:
     return replace(made, tables=tuple(alone(table) if table.name[1] in "XYZ" else table for table in made.tables))
 
 
-def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined]) -> None:
-    """Keep a table that is whole; a gap must not be bridged by a controller's straight line."""
-    if len(table.nodes) < 2:
-        return
+def _is_whole(table: AxisTable, left_out: list[NotDetermined]) -> bool:
+    """Whether it has no gap, which must not be bridged by a controller's straight line; else it is `left_out`."""
     lost = int(np.count_nonzero(~np.isfinite(table.value)))
-    if not lost:
-        found.append(table)
-    elif all(entry.name != table.name for entry in left_out):
+    if lost and len(table.nodes) > 1 and all(entry.name != table.name for entry in left_out):
         left_out.append(NotDetermined(table.name, say("undetermined.nodes", n=lost, count=len(table.nodes))))
+    return not lost and len(table.nodes) > 1
 
 
 def _backlash(estimated: Sequence[Estimate]) -> dict[str, tuple[float, float]]:

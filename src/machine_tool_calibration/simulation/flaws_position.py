@@ -113,8 +113,9 @@ def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tu
     """The table of an extra error motion: `shape` is random (by `seed`), constant, linear, quadratic or sine."""
     axis, shape = name[-1], parameters["shape"]
     if axis not in "XYZ":
-        rng = np.random.default_rng(int(parameters["seed"]))
-        return motions.random_periodic(rng, [size])[0] if shape == "random" else motions.constant(0.0, 2 * np.pi, size)
+        if shape != "random":
+            return motions.Table((0.0, 2 * np.pi), (size, size), "linear")
+        return motions.random_periodic(np.random.default_rng(int(parameters["seed"])), [size])[0]
     low, high = ends.get(axis, (0.0, 1.0))
     if shape == "random":
         return motions.random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, [size], knots=5)[0]

@@ -162,11 +162,6 @@ def summed(one: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
     return {**one, **{name: one.get(name, 0.0) + value for name, value in more.items()}}
 
 
-def constant(low: float, high: float, value: float) -> Table:
-    """A motion that has one value everywhere."""
-    return Table((low, high), (value, value), "linear")
-
-
 def random_smooth(
     rng: np.random.Generator, low: float, high: float, amplitudes: Sequence[float], *, knots: int = 7
 ) -> list[Table]:

@@ -145,13 +145,15 @@ def _with_datum(model: ProbingModel) -> ProbingModel:
     # The length is a measurement with an uncertainty of its own, not an exact condition, where a touch reaches it.
     length = places[-1]
     exact = [place for place in put if not (measured and place is length)]
-    left_out = [] if measured else [_no_length(description, unused)]
+    why = say("undetermined.no_length")
+    if unused:
+        why = say("undetermined.length_untouched", names=together(unused, say("text.and")))
     return replace(
         model,
         constraints=tuple(Constraint(place.weights, place.value) for place in exact)
         + tuple(Constraint(prior.weights, prior.value) for prior in measured if prior.sigma == 0.0),
         priors=tuple(prior for prior in measured if prior.sigma > 0.0),
-        left_out=tuple(left_out),
+        left_out=() if measured else (NotDetermined(datum.LENGTH, why),),
         datum=_words(put, bool(measured)),
         length_known=bool(measured),
     )
@@ -169,14 +171,6 @@ def _measured(model: ProbingModel, null: datum.NullSpace, put: Sequence[datum.Pl
         else:
             bad.append(f"{name}({entry.position:.6g})")
     return good, bad
-
-
-def _no_length(description: Probing, unused: Sequence[str]) -> NotDetermined:
-    if not description.known:
-        why = say("undetermined.no_length")
-    else:
-        why = say("undetermined.length_untouched", names=together(unused, say("text.and")))
-    return NotDetermined(datum.LENGTH, why)
 
 
 def _words(put: Sequence[datum.Place], measured: bool) -> str:
