@@ -52,21 +52,6 @@ class Option(Proposal):
         """Time with what comes on top, s, roughly."""
         return (self.seconds or 0.0) + _EFFORT.get(self.kind or "", 0.0)
 
-    @classmethod
-    def of(
-        cls,
-        session: Session,
-        kind: str,
-        words: str,
-        extended: tuple[Session, float | None],
-        aside: str = "",
-        turned: Mapping[str, float] | None = None,
-    ) -> Option:
-        """An option from the session as it was and as it would be."""
-        first = int(session.readings.row.max(initial=-1)) + 1
-        return cls(kind=kind, measure=words, seconds=extended[1], aside=aside, session=extended[0], first_row=first,
-                   turned=turned or {})  # fmt: skip
-
 
 def mounted_again(session: Session, rows: IntArray) -> tuple[Description, IntArray, str]:
     """The setups of some readings made again: their description, which takes each one's place, what comes on top.
@@ -113,9 +98,8 @@ def _repeated(session: Session, rows: IntArray) -> Iterator[Option]:
         kind: str, how: str, changed: Changed, aside: str = "", turned: dict[str, float] | None = None
     ) -> Option:
         besides = " and ".join(text for text in (mounting, aside) if text)
-        setup = place[session.readings.setup[changed.rows]]
-        extended = appended(session, changed, setup, description)
-        return Option.of(session, kind, together((measure, how), ""), extended, besides, turned)
+        extended = appended(session, changed, place[session.readings.setup[changed.rows]], description)
+        return Option(kind=kind, measure=together((measure, how), ""), aside=besides, turned=turned or {}, **extended)
 
     yield option("again", say("measure.as_before"), Changed(rows))
     for kind, found in (

@@ -119,7 +119,7 @@ def _option(session: Session, new: Sequence[tuple[int, dict[str, Any]]], kind: s
     made = Changed(np.concatenate(rows), columns, np.concatenate(displacement))
     whole = description.model_copy(update={"setups": tuple(setups)})
     extended = appended(session, made, np.concatenate(setup), whole)
-    return Option.of(session, kind, words, extended, _MOUNTED)
+    return Option(kind=kind, measure=words, aside=_MOUNTED, **extended)
 
 
 def _in_one_more(session: Session, setup: Setup, changed: Changed, kind: str, words: str, aside: str = "") -> Option:
@@ -127,7 +127,7 @@ def _in_one_more(session: Session, setup: Setup, changed: Changed, kind: str, wo
     description = session.description
     whole = description.model_copy(update={"setups": (*description.setups, setup)})
     new = np.full(len(changed.rows), len(description.setups), dtype=np.int64)
-    return Option.of(session, kind, words, appended(session, changed, new, whole), aside)
+    return Option(kind=kind, measure=words, aside=aside, **appended(session, changed, new, whole))
 
 
 def further_stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -74,10 +75,8 @@ class Changed:
     kelvin: Array | None = None  # (k,) how much warmer everything is, in the order of time; nothing if absent
 
 
-def appended(
-    session: Session, changed: Changed, setup: IntArray, description: Description
-) -> tuple[Session, float | None]:
-    """The session followed by readings that are taken as some of its own were, and the extra time, s.
+def appended(session: Session, changed: Changed, setup: IntArray, description: Description) -> dict[str, Any]:
+    """Of an `Option`: `session` followed by readings taken as some of its own were, their `first_row`, and `seconds`.
 
     The surroundings go on as they did: the first new reading finds the air of the first of the rows in time. The new
     readings have numbers above those of the session's own, and setups (k,) of a description that has the new ones.
@@ -95,12 +94,14 @@ def appended(
         seconds = float(gaps.sum())
     last = np.array([old.repeat[old.setup == s].max(initial=-1) for s in range(int(setup.max(initial=0)) + 1)])
     displacement = new.displacement if changed.displacement is None else changed.displacement
-    row = np.arange(len(rows), dtype=np.int64) + int(old.row.max(initial=-1)) + 1
+    first_row = int(old.row.max(initial=-1)) + 1
+    row = np.arange(first_row, first_row + len(rows), dtype=np.int64)
     new = replace(new, setup=setup, repeat=last[setup] + 1, displacement=displacement, columns=columns, row=row)
     if spec_of(session).counts_from_run:
         first = first_of_group(new.setup, new.repeat, *(new.labels[n] for n in ("target",) if n in new.labels))
         new = replace(new, displacement=new.displacement - new.displacement[first])
-    return replace(session, description=description, readings=joined([old, new])), seconds
+    whole = replace(session, description=description, readings=joined([old, new]))
+    return {"session": whole, "first_row": first_row, "seconds": seconds}
 
 
 @dataclass(frozen=True)
