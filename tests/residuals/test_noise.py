@@ -239,17 +239,19 @@ def test_a_place_that_is_lost_is_said() -> None:
     assert identify(session).not_determined == identify(wrong, keep_all=True).not_determined
 
 
-@pytest.mark.parametrize("reversed_", [False, True])
-def test_a_place_that_other_setups_read_is_not_lost(reversed_: bool) -> None:
-    """A straightness measured once in each of several mountings; all but one of them read it from the other side."""
+@pytest.mark.parametrize("from_where", ["the same", "the other side", "everywhere"])
+def test_a_place_that_other_setups_read_is_not_lost(from_where: str) -> None:
+    """A straightness measured once in each of several mountings; all but one of them may read it from elsewhere."""
     plan = PRESETS["straightness"].model_copy(update={"repeats": 8})
     session = simulate(SimulationSpec(plan=plan, seed=5)).session
     readings, names = session.readings, [f"m{k}" for k in range(8)]
     setups = tuple(session.description.setups[0].model_copy(update={"id": name}) for name in names)
     displacement = readings.displacement.copy()
     displacement[4] += 3e-4
-    side = np.where(reversed_ & (readings.repeat > 0), -1.0, 1.0)
-    readings = replace(readings, columns={**readings.columns, "gy": side * readings.columns["gy"]})
+    side = np.where((from_where == "the other side") & (readings.repeat > 0), -1.0, 1.0)
+    oblique = 0.02 * np.arange(len(side)) / len(side) * (from_where == "everywhere")
+    sensed = {"gy": side * readings.columns["gy"], "gz": readings.columns["gz"] + oblique}
+    readings = replace(readings, columns={**readings.columns, **sensed})
     displacement *= side
     mounted = replace(
         session,

@@ -21,9 +21,9 @@ from machine_tool_calibration.methods.build import build_model, error_map, shari
 from machine_tool_calibration.methods.joint.map import joint_map
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models, with_effects
 from machine_tool_calibration.methods.joint.small_angles import published_angles, random_of, with_estimated_angles
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import ErrorMap, effect_signal
+from machine_tool_calibration.model.result import ErrorMap, effect_signal, map_rms
 from machine_tool_calibration.model.widening import Alternatives
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.catalogue import spec_of
@@ -163,6 +163,16 @@ class FittedSessions:
             for model in assembly.models
         )
         return replace(self, joint=replace(self.joint, assembly=replace(assembly, models=models))) if gone else self
+
+    @cached_property
+    def limited_by_runs(self) -> bool:
+        """Whether most of the map's variance comes from what runs, mountings or setups differ by."""
+        marginal = self.joint.marginal
+        if not any(size.high for size in marginal.sizes):
+            return False
+        alone = self.map_of(declared(self.joint, marginal.scatter**2 * self.joint.solution.covariance))
+        own, whole = map_rms(alone.uncertainty), map_rms(self.error_map.uncertainty)
+        return own is not None and whole is not None and own**2 < 0.5 * whole**2
 
     def map_of(self, joint: JointFit) -> ErrorMap:
         """The machine's errors by another fit of the same models, such as those of `changed`."""

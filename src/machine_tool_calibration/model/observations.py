@@ -13,6 +13,9 @@ from machine_tool_calibration.estimation.sensor_noise import without_noise
 from machine_tool_calibration.model.rounding import by_rounding
 from machine_tool_calibration.session.session import Readings, Session, joined
 
+ACROSS = 0.1
+"""Cosine between the directions of two readings of a place below which the one says nothing of the other."""
+
 # Share of an axis's travel that readings cover at least where functions are scaled on the travel. With half of it, the
 # tables of a tracking interferometer beside a polynomial were ten times as uncertain as with all of it; with this
 # share, 1 %.

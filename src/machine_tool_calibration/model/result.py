@@ -16,6 +16,7 @@ from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
+from machine_tool_calibration.model.observations import ACROSS
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
@@ -304,8 +305,10 @@ def _lost_places(session: Session) -> list[NotDetermined]:
     place = groups(*np.round(1e9 * readings.position().T), *np.round(1e6 * direction.T))
     left = np.bincount(place, np.isfinite(readings.displacement))
     first = np.sort(np.unique(place, return_index=True)[1][left == 0])
-    where = (", ".join(f"{1e3 * v:.6g}" for v in at) for at in readings.position()[first])
-    along = (", ".join(f"{v:.3g}" for v in at) for at in direction[first])
+    spot, kept = groups(*np.round(1e9 * readings.position().T)), np.isfinite(readings.displacement)
+    lost = [k for k in first if not np.any(kept & (spot == spot[k]) & (np.abs(direction @ direction[k]) > ACROSS))]
+    where = (", ".join(f"{1e3 * v:.6g}" for v in at) for at in readings.position()[lost])
+    along = (", ".join(f"{v:.3g}" for v in at) for at in direction[lost])
     why = say("undetermined.none_left")
     return [NotDetermined(f"deviation along ({g}) at ({at}) mm", why) for g, at in zip(along, where, strict=True)]
 

@@ -28,7 +28,7 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.residuals.noise import scatter_over_declared
-from machine_tool_calibration.residuals.places import alike_beside_p, differ_by_setup
+from machine_tool_calibration.residuals.places import alike_beside_p, differ_by_setup, read_in_several_setups
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -40,14 +40,14 @@ AS_GOOD = 0.1
 """Probability of another effect from which it is told beside those found."""
 # Covariates of a structure that is no more than that these differ: places, or what was read at the one place.
 _OF_PLACES = ("place", "target")
-# What does not reproduce over the residual, from which it is what limits.
-_LIMITS = 0.7
 # Probability from which an effect is named without it.
 _SURELY = 0.9
 # Share of the whole scatter from which that of repeats is part of the story.
 _PARTLY = 0.5
 # Readings for one independent one from which the memory of the noise is told.
 _MEMORY = 1.5
+# Factor of the uncertainties over that by which readings scatter, from which places that differ make it.
+_OF_PLACES_MOSTLY = 1.5
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 # Effects that are the reversal of an axis.
@@ -211,11 +211,11 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
         fit = diagnosis.fits[-1]
-        left = rms(Pool(fit).residuals)
-        if any(one.size > _LIMITS * left for one in fit.marginal.sizes):
+        if diagnosis.fitted[-1].limited_by_runs:
             timed = all(model.observations.timed for model in fit.assembly.models)
             return say("next.runs" if timed else "next.runs_untimed")
-        if fit_quality(fit.p_value) != "bad":
+        # Of places or setups that differ there are fewer than readings, however often these are repeated.
+        if fit_quality(fit.p_value) != "bad" and fit.marginal.scatter < _OF_PLACES_MOSTLY * fit.birge_ratio:
             known = np.isfinite(diagnosis.fitted[-1].error_map.error).any()
             return say("next.nothing" if known else "next.undetermined")
         what = f"next.{_what_scatters(diagnosis)}"
@@ -242,6 +242,8 @@ def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter",
     """Where readings scatter more than declared: without repeats nobody knows what does; these do, places, or both."""
     noise, observed = diagnosis.noise, Pool(diagnosis.search.fit).observations
     if noise.as_read is None and noise.from_repeats is None:
+        if any(read_in_several_setups(one) for one in observed) and not differ_by_setup(diagnosis.fits[-1].fits):
+            return "places"
         return "few" if any(len(np.unique(one.place)) < len(one) for one in observed) else "repeats"
     chi_square = diagnosis.fits[-1].reduced_chi_square
 

@@ -14,6 +14,9 @@ from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
+# Places that were read again, of which a random constant of each is told from what all have in common; and at most.
+_FEWEST, _MOST = 4, 100
+
 
 def places_differ(fit: Fit) -> Noise | None:
     """What repeats say of the noise where direct deviations of places differ by more than their repeats do.
@@ -31,9 +34,19 @@ def places_differ(fit: Fit) -> Noise | None:
 
 
 def own_of_places(fit: Fit) -> tuple[Family, ...]:
-    """What each place has for itself, as a random constant, where few places differ."""
-    place = fit.model.observations.place
-    return (Family("place", place, np.ones((1, len(place)))),) if _are_few(fit) and places_differ(fit) else ()
+    """What each place has for itself, as a random constant, where places along two axes were read again.
+
+    In another setup, too: by what the same place differs runs and setups do, and not by what no model has of a part.
+    """
+    observations = fit.model.observations
+    moved = (np.ptp(observations.position, axis=0) > SAME_POSITION).sum()
+    if not spec_of(observations.session).reads_machine or moved < 2:
+        return ()
+    place = observations.readings.alike(setup=False, approach=False)
+    again = np.bincount(place)[place] > 1
+    if not _FEWEST <= len(np.unique(place[again])) <= _MOST:
+        return ()
+    return (Family("place", np.where(again, place, 0), again[None].astype(float)),)
 
 
 def _are_few(fit: Fit) -> bool:

@@ -23,7 +23,7 @@ from typing import Self
 
 import numpy as np
 
-from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, rms
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, groups, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
@@ -32,7 +32,7 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.fit import ShiftedPart
 from machine_tool_calibration.model.model import MethodModel, assemble
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import ACROSS, Observations
 from machine_tool_calibration.model.rounding import rounding_of
 from machine_tool_calibration.residuals.gross_error_sets import (
     COMPARED,
@@ -330,6 +330,12 @@ class _Search:
         return self.readings.alike(setup=False, approach=False, signed=False)
 
     @cached_property
+    def _spot(self) -> IntArray:
+        """(n,) number of the position of each reading, whatever was sensed there and from where."""
+        position = [np.round(1e9 * self.readings.columns[a]) for a in "xyzabc" if a in self.readings.columns]
+        return groups(*position, *self.readings.labels.values())
+
+    @cached_property
     def _groups(self) -> list[IntArray]:
         """Groups of readings that only tell of each other."""
         out = groups_of_points(self.part)
@@ -393,10 +399,9 @@ class _Search:
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""
         rows, place = self.readings.row, self.readings.alike(approach=False)
-        near = self.part.point_of_reading() if self.part.dimension else self._any_side
+        near = self.part.point_of_reading() if self.part.dimension else self._spot
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
-        left = np.bincount(near, ~gone)
         out, predicted, every = [], fit.predicted, np.flatnonzero(gone)
         again = self.neighbours.repeated(every, fit.residual, fit.bulk.scale * fit.bulk.limit)
         for k, repeated in zip(every, again.tolist(), strict=True):
@@ -411,7 +416,8 @@ class _Search:
                 words += " and nothing tells which is right"
             elif repeated:
                 words += ", and so is its place each time"
-            if not left[near[k]]:
+            across = np.abs(self.neighbours.direction @ self.neighbours.direction[k]) < ACROSS
+            if not np.any(~gone & (near == near[k]) & ~across):
                 words += "; no other reading of its place is left"
             told = deviation if fit.spread[k] < _UNTOLD else None
             out.append(Outlier(int(rows[k]), times, told, words, int(k) in alike, repeated))

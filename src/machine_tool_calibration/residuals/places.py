@@ -8,10 +8,13 @@ from scipy import spatial, special
 
 from machine_tool_calibration.arrays import Array, IntArray, groups, means_of
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.observations import SAME_POSITION
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 # Fewer places than this have no pattern, and more than this are not compared; nearest places per axis that moved.
 _FEWEST_PLACES, _MOST_PLACES, _NEAREST = 12, 1500, 2
+# Setups in the mean that read a place, from which they tell what it has for itself.
+_SEVERAL = 1.5
 # Share of their squares from which what places differ by is of setups.
 _MOST_OF_THEM = 0.5
 
@@ -43,6 +46,13 @@ def alike_beside_p(fit: Fit) -> float | None:
     if not pairs.any() or not mean.any():
         return None
     return float(special.ndtr(-_moran(mean, pairs)))
+
+
+def read_in_several_setups(observations: Observations) -> bool:
+    """Whether a machine's own deviations were read at the same places in several setups: most of them."""
+    seen = groups(observations.readings.alike(setup=False, approach=False))
+    own = groups(observations.readings.alike(approach=False))
+    return spec_of(observations.session).reads_machine and _SEVERAL * (seen.max() + 1) < own.max() + 1
 
 
 def differ_by_setup(fits: Sequence[Fit]) -> bool:

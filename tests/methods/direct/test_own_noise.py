@@ -193,3 +193,12 @@ def test_a_part_of_the_readings_counts_as_it_does_among_all() -> None:
     np.testing.assert_array_equal(own.drawn_as(whole).sigma, whole.sigma[mine])
     plain = build_model(read((1e-6, 1e-6))[0])[0]
     np.testing.assert_array_equal(whole.drawn_as(plain).sigma, plain.sigma)
+
+
+def test_readings_that_scatter_less_than_declared_are_not_said_to_be_used() -> None:
+    """Of two degrees of freedom the uncertainties exceed the declared one a little, and are not of the scatter."""
+    x, read = np.array([0.0, 0.1, 0.2, 0.3, 0.0, 0.2]), 1e-6 * np.array([0.0, 1.0, 2.0, 1.0, 0.4, 1.7])
+    columns = {"x": x, "gx": np.ones(6), "gy": 0.0 * x, "gz": 0.0 * x, "displacement": read}
+    found = identify(plates.session(columns, 5e-7, "none", ("EXX",))).error_map.content["scatter"]
+    assert found["found"] < found["declared"] and found["factor"] > 1.0
+    assert found["uncertainties_from"] == "declared"

@@ -24,7 +24,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
 )
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, scaled_columns, search
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import marginal_at
+from machine_tool_calibration.estimation.marginal import Marginal, marginal_at
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.model.result import effect_signal
@@ -346,20 +346,27 @@ def _absorbed(columns: Columns) -> tuple[Absorbed, ...]:
 
 def _structure(columns: Columns, found: Posterior) -> tuple[Structure, ...]:
     """Significant structures in what the model leaves, the most significant first."""
-    single, marginal, out = found.single, found.marginal, []
-    for k in (k for k in single.best if k >= columns.effects):
-        log_factor = float(single.log_factors[k])
-        # Judged by the structures' prior against all others: what no effect says; and by the scatter that is left.
+    out = []
+    for k in (k for k in found.single.best if k >= columns.effects):
+        # Judged beside the others of the most probable set, or else alone, by the structures' prior against all others:
+        # what no effect says; and by the scatter that is left.
+        log_factor = found.log_factor(k)
         p = found.p_value(k, log_factor)
         if p <= priors.STRUCTURE_P:
-            block, candidate = columns.blocks[single.best[k].block], columns.candidates[k]
-            along = fitted_in(marginal, block.place)[1]
-            share = float(np.sum(along**2) / marginal.squares)
-            p = max(p, candidate.count * _of_scatter(share, len(along), marginal.gram.dof))
+            block, candidate = columns.blocks[found.point_of(k).block], columns.candidates[k]
+            others = [other for other in found.best if other != k] if k in found.best else []
+            beside, rank = _share_of(found.marginal_with(others), block.place)
+            p = max(p, candidate.count * _of_scatter(beside, rank, found.marginal.gram.dof))
         if p <= priors.STRUCTURE_P:
-            words = _dependence(candidate, block.shaped.shape)
+            words, share = _dependence(candidate, block.shaped.shape), _share_of(found.marginal, block.place)[0]
             out.append((p, -log_factor, Structure(*words, p, share)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
+
+
+def _share_of(marginal: Marginal, place: slice) -> tuple[float, int]:
+    """Share of the squares that columns explain, and their rank."""
+    along = fitted_in(marginal, place)[1]
+    return float(np.sum(along**2) / marginal.squares), len(along)
 
 
 def _of_scatter(share: float, rank: int, dof: float) -> float:

@@ -360,7 +360,7 @@ def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) ->
         **own,
         "declared": declared,
         "found": found,
-        "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 else "declared",
+        "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 and found > declared else "declared",
         "factor": fit.scatter_factor,
         "each": {} if model.noise is None else model.noise.each,
     }
