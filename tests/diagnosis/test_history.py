@@ -50,6 +50,20 @@ def test_the_same_model_is_not_kept_twice_but_another_outcome_is() -> None:
     assert len(once.grown([]).models) == 2
 
 
+@pytest.mark.parametrize(
+    ("alternatives", "why"),
+    [
+        ({"linear_drift": {"linear_drift": 0.3}}, "of an effect in the model others may be true"),
+        ({"dead_path": {"warmup_x": 0.3}}, "of an effect in the model others may be true"),
+        ({"linear_drift": {"warmup_x": 0.9, "dead_path": 0.9}}, "sum to more than 1"),
+        ({"linear_drift": {"warmup_x": -0.1}}, "greater than 0"),
+    ],
+)
+def test_what_an_effect_may_be_instead_is_checked(alternatives: dict[str, dict[str, float]], why: str) -> None:
+    with pytest.raises(ValidationError, match=why):
+        entry("linear_drift", alternatives=alternatives)
+
+
 def test_a_history_that_contradicts_itself_is_refused() -> None:
     for models, current in (([entry(), entry()], 1), ([entry()], 3), ([entry(parent=9)], 1), ([entry(parent=1)], 1)):
         with pytest.raises(ValidationError):

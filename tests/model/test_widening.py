@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.improve import entry_of, improve
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.model.fit import changed
@@ -64,6 +65,8 @@ def test_what_has_no_place_in_the_data_is_no_alternative() -> None:
     asked = FitRequest((drifting(),), effects=("linear_drift",))
     for none in ({"linear_drift": {"thermal_expansion_x": 0.4}}, {"backlash_x": {"warmup_x": 0.4}}):
         assert fit_sessions(replace(asked, alternatives=none)).joint.alternatives is None
+    with pytest.raises(ModelError, match="unknown effect 'warmup_q'"):
+        fit_sessions(replace(asked, alternatives={"linear_drift": {"warmup_q": 0.4}}))
 
 
 def test_a_history_keeps_them() -> None:

@@ -32,7 +32,7 @@ from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.gaps import filled
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session, refuse_repeated
-from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.spec import PLANS
 from machine_tool_calibration.words import words
 
@@ -56,6 +56,22 @@ def moved(session: Session) -> Session:
 def approached(session: Session) -> Session:
     columns = {**session.readings.columns, "dir_x": -session.readings.columns["dir_x"]}
     return session.with_readings(replace(session.readings, columns=columns))
+
+
+def test_a_direction_of_approach_that_is_missing_once() -> None:
+    """Where the axis came from stands for it: a backlash of 1.5 um had been "no effect and no pattern"."""
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=8, effects=(FlawSpec(id="backlash_x", amplitude=1.5e-6),))
+    session = simulate(spec).session
+    columns = {**session.readings.columns, "dir_x": session.readings.columns["dir_x"].copy()}
+    columns["dir_x"][3] = np.nan
+    lost = session.with_readings(replace(session.readings, columns=columns))
+    assert filled(columns)["dir_x"] == pytest.approx(session.readings.columns["dir_x"])
+    assert any("where the axis came from stands for it" in told for told in suspicions([lost]))
+    assert diagnose(lost).accepted == diagnose(session).accepted == ("backlash_x",)
+    # Most are missing: nobody knows, and it is said.
+    columns["dir_x"][5:-5] = np.nan
+    lost = session.with_readings(replace(session.readings, columns=columns))
+    assert any("no reversal of this axis can be looked for" in told for told in suspicions([lost]))
 
 
 @pytest.mark.parametrize(("column", "value"), [("temperature_air", 85.0), ("air_pressure", 90000.0)])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from machine_tool_calibration.cli.shared import FILE, PATH, bar, note, options, session_labels
-from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.progress import untold
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ class Wanted:
             return Measured(sessions, asked)
         if self.effects or self.model:
             raise click.UsageError("--from-history is without --effect and --model.")
+        from machine_tool_calibration.effects.catalogue import find_effects
         from machine_tool_calibration.reports.history import fingerprint, history_path, read_history
 
         history = read_history(history_path(*paths))
@@ -68,8 +69,12 @@ class Wanted:
         if entry.data != fingerprint(*sessions):
             note(f"the readings have changed since model {entry.number} was made of them")
         prints = [fingerprint(session) for session in sessions]
-        self._note_idle(entry.request(recorded, labels, prints, own), sessions, labels)
-        chosen = entry.request(sessions, labels, prints, own)
+        try:
+            self._note_idle(entry.request(recorded, labels, prints, own), sessions, labels)
+            chosen = entry.request(sessions, labels, prints, own)
+            find_effects([*chosen.effects, *{n for others in chosen.alternatives.values() for n in others}], own)
+        except ModelError as error:
+            raise ModelError(f"{history_path(*paths)}: model {entry.number}: {error}") from None
         return Measured(sessions, chosen, history.way_to(entry.number))
 
     def _note_idle(self, without: FitRequest, kept: Sequence[Session], labels: Sequence[str]) -> None:

@@ -73,6 +73,15 @@ class Entry(Record):
     map_change_rms: Finite | None = None  # RMS length by which they moved against the parent, m
     parameters: tuple[Coefficient, ...] = ()  # coefficients of the effects
 
+    @model_validator(mode="after")
+    def _check(self) -> Entry:
+        for effect, others in self.alternatives.items():
+            if effect not in self.effects or others.keys() & {*self.effects}:
+                raise ValueError(f"alternatives of {effect}: of an effect in the model others may be true that are not")
+            if sum(others.values()) > 1.0:
+                raise ValueError(f"alternatives of {effect}: their probabilities sum to more than 1")
+        return self
+
     def changed(self, parent: Entry | None) -> str:
         """What it has and its parent has not, for people: by keys where effects or readings say it."""
         if parent is None:

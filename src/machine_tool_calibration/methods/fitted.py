@@ -209,7 +209,10 @@ def _with_alternatives(joint: JointFit, chosen: FitRequest) -> JointFit:
     pairs, differences, probability = [], [], []
     for effect, others in chosen.alternatives.items():
         for other in others if effect in chosen.effects else ():
+            if other in chosen.effects:
+                continue
             effects = tuple(other if name == effect else name for name in chosen.effects)
+            find_effects([other], chosen.own)  # that it is unknown is not passed over
             try:
                 instead = fit_sessions(replace(chosen, effects=effects, alternatives={})).joint
             except ModelError:

@@ -18,7 +18,7 @@ from machine_tool_calibration.model.result import (
     only_if_right,
     scatter_p_value,
 )
-from machine_tool_calibration.reports.quantities import MOST_NAMED, quantity, rounded
+from machine_tool_calibration.reports.quantities import MOST_NAMED, probability, quantity, rounded
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.words import Said, Verbatim, say, together
@@ -111,8 +111,9 @@ def vague_words(content: Mapping[str, Any]) -> Iterator[Said]:
 def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
     """A sentence for what an effect may be instead, what is negative and positive by its nature, and a lead's alias."""
     for name in effects:
-        if fit.alternatives and (others := list(fit.alternatives.of(name))):
-            yield say("fit.alternatives", name=name, others=together(others, say("diagnosis.or")))
+        if fit.alternatives and (instead := fit.alternatives.of(name)):
+            each = [f"{other} ({probability(share)})" for other, share in instead.items()]
+            yield say("fit.alternatives", name=name, others=together(each, say("diagnosis.or")))
     unknowns = fit.assembly.unknowns
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]

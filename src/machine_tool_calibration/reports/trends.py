@@ -114,8 +114,9 @@ def _course_row(one: Course) -> tuple[str, ...]:
     elif one.shifted:
         change = quantity(one.explanation.step, one.unit, one.explanation.u_step)
     kind = say(f"trend.possible_{one.kind}" if one.suspected else f"trend.{one.kind}")
-    chance = probability(one.explanation.shift if one.kind == "instrument" else one.explanation.probability)
-    return (*values, change, kind, chance, quantity(one.explanation.spread, one.unit), limit)
+    changed = one.explanation.probability
+    chance = {"instrument": one.explanation.shift, "steady": 1.0 - changed}.get(one.kind, changed)
+    return (*values, change, kind, probability(chance), quantity(one.explanation.spread, one.unit), limit)
 
 
 def trend_words(found: Trend) -> Iterator[str]:

@@ -20,17 +20,35 @@ _THERE, _LONGEST = 0.8, 0.1
 def filled(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Those columns of the environment that have short gaps, (n,) each, with values between those before and after.
 
-    Spikes are gaps. None where the time of a reading is not known, or a gap is longer than one can see across.
+    Spikes are gaps. None where the time of a reading is not known, or a gap is longer than one can see across. And
+    those of the direction of approach that have some, by where the axis came from.
     """
     time = columns.get("time")
+    out = _approached(columns)
     if time is None or not np.isfinite(time).all():
-        return {}
-    out = dict[str, Array]()
+        return out
     for name in (name for name in ENVIRONMENT_COLUMNS if name in columns):
         sensed = columns[name].copy()
         sensed[spikes(columns, name)] = np.nan
         course = None if np.isfinite(sensed).all() else _across_gaps(time, sensed)
         out |= {} if course is None else {name: course}
+    return out
+
+
+def _approached(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Directions of approach with a few gaps, (n,) each, where all others are those in which the axis moved."""
+    time, out = columns.get("time"), dict[str, Array]()
+    for axis in (a for a in "xyzabc" if a in columns and f"dir_{a}" in columns):
+        stated, position = columns[f"dir_{axis}"], columns[axis]
+        there = np.isfinite(stated)
+        if there.all() or there.mean() < _THERE or not np.isfinite(position).all():
+            continue
+        order = np.arange(len(stated)) if time is None else np.argsort(time, kind="stable")
+        way = np.zeros(len(stated))
+        way[order[1:]] = np.sign(np.diff(position[order]))
+        moved = there & (way != 0.0)
+        if moved.any() and np.mean(way[moved] == np.sign(stated[moved])) >= 1.0 - _FEW and (way[~there] != 0.0).all():
+            out[f"dir_{axis}"] = np.where(there, stated, way)
     return out
 
 

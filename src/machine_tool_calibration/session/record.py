@@ -87,7 +87,7 @@ def _words(defect: dict[str, Any], record: type[BaseModel] | None) -> str:
         return f"{key} is {shown(value)}, not {context['expected']}"
     if kind in ("too_short", "too_long"):
         bound = f"not at least {context['min_length']}" if kind == "too_short" else f"more than {context['max_length']}"
-        return f"{key} has {context['actual_length']} entries, {bound}"
+        return f"{key} has {len(value)} entries, {bound}"
     if kind in ("finite_number", "float_parsing", "float_type"):
         return f"{key} must be a finite number, not {shown(value)}"
     if kind in ("int_parsing", "int_type", "int_from_float", "int_parsing_size"):

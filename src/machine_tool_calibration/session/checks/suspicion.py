@@ -158,7 +158,8 @@ def _missed(session: Session) -> Iterator[str]:
     """Values of a sensor that are missing."""
     columns, read = session.readings.columns, np.isfinite(session.readings.displacement)
     known, count = filled(columns), int(read.sum())
-    for name in ENVIRONMENT_COLUMNS:
+    for name in (*ENVIRONMENT_COLUMNS, *(f"dir_{axis}" for axis in "xyzabc")):
         gone = int(np.sum(read & ~np.isfinite(columns[name]))) if name in columns else 0  # spikes are told already
         if 0 < gone < count:
-            yield say("suspicion.filled" if name in known else "suspicion.missed", column=name, n=gone, count=count)
+            how = f"{'filled' if name in known else 'missed'}{'_approach' if name.startswith('dir_') else ''}"
+            yield say(f"suspicion.{how}", column=name, n=gone, count=count)
