@@ -14,7 +14,6 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import refuse_idle
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.checks import check_session
@@ -123,7 +122,7 @@ def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
     All that the whole session determines has to be determined before its U counts; what it does not allow is refused.
     """
     session = chosen.sessions[0]
-    refuse_idle(find_effects(until.told, chosen.own), build_model(session, chosen.model)[0].observations)
+    refuse_idle(find_effects(until.told, chosen.own), chosen.base(session)[0].observations)
     wanted = determined(chosen)
     for part in parts(session):
         whole = len(part.readings) == len(session.readings)

@@ -55,8 +55,6 @@ from machine_tool_calibration.words import say, together
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
-# A probability of nothing.
-_NEVER = 1e-300
 
 
 @dataclass(frozen=True)
@@ -109,12 +107,13 @@ class Diagnosis:
         """By effect found, which look-alikes it may as well be, each with its probability among them."""
         out = {}
         for group in self.search.groups:
-            some = {name: self.search.of(name) for name in group if name not in self.refused}
-            own = [name for name in some if name in self.accepted]
-            whole = sum(finding.probability for finding in some.values())
-            shares = {name: round(f.probability / max(whole, _NEVER), 2) for name, f in some.items() if f.plausible}
-            others = {name: share for name, share in shares.items() if name not in own and share > priors.MAY_BE}
-            if len(own) == 1 and others:
+            own = [name for name in group if name in self.accepted]
+            if len(own) != 1:
+                continue
+            some = [self.search.of(name) for name in group if name not in self.refused]
+            whole = sum(finding.probability for finding in some)
+            shares = {f.name: round(f.probability / whole, 2) for f in some if f.plausible and f.name not in own}
+            if others := {name: share for name, share in shares.items() if share > priors.MAY_BE}:
                 out[own[0]] = others
         return out
 

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -206,25 +207,24 @@ def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = 
 
 def _with_alternatives(joint: JointFit, chosen: FitRequest) -> JointFit:
     """The fit with what its effects may be instead, as far as the data allows these in their place."""
-    pairs, differences, probability = [], [], []
-    for effect, others in chosen.alternatives.items():
-        for other in others if effect in chosen.effects else ():
-            if other in chosen.effects:
-                continue
-            effects = tuple(other if name == effect else name for name in chosen.effects)
-            find_effects([other], chosen.own)  # that it is unknown is not passed over
-            try:
-                instead = fit_sessions(replace(chosen, effects=effects, alternatives={})).joint
-            except ModelError:
-                continue
-            pairs.append((effect, other))
-            differences.append(effect_signal(instead, other)[0] - effect_signal(joint, effect)[0])
-            probability.append(others[other])
+    differences = dict[tuple[str, str], Array]()
+    asked = [(effect, other) for effect, others in chosen.alternatives.items() for other in others]
+    for effect, other in asked:
+        if effect not in chosen.effects or other in chosen.effects:
+            continue
+        effects = tuple(other if name == effect else name for name in chosen.effects)
+        find_effects([other], chosen.own)  # that it is unknown is not passed over
+        try:
+            instead = fit_sessions(replace(chosen, effects=effects, alternatives={})).joint
+        except ModelError:
+            continue
+        differences[effect, other] = effect_signal(instead, other)[0] - effect_signal(joint, effect)[0]
     if not differences:
         return joint
     ends = np.cumsum([len(model.sigma) for model in joint.assembly.models])
-    each = tuple(np.split(np.array(differences), ends[:-1], axis=1))
-    return replace(joint, alternatives=Alternatives(tuple(pairs), each, np.array(probability)))
+    each = tuple(np.split(np.array(list(differences.values())), ends[:-1], axis=1))
+    probability = np.array([chosen.alternatives[effect][other] for effect, other in differences])
+    return replace(joint, alternatives=Alternatives(tuple(differences), each, probability))
 
 
 def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:

@@ -302,10 +302,10 @@ def _lost_places(session: Session) -> list[NotDetermined]:
     if not spec_of(session).reads_machine or "gx" not in readings.columns:
         return []
     direction = unsigned(np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")]))
-    place = groups(*np.round(1e9 * readings.position().T), *np.round(1e6 * direction.T))
-    left = np.bincount(place, np.isfinite(readings.displacement))
-    first = np.sort(np.unique(place, return_index=True)[1][left == 0])
     spot, kept = groups(*np.round(1e9 * readings.position().T)), np.isfinite(readings.displacement)
+    place = groups(spot, *np.round(1e6 * direction.T))
+    left = np.bincount(place, kept)
+    first = np.sort(np.unique(place, return_index=True)[1][left == 0])
     lost = [k for k in first if not np.any(kept & (spot == spot[k]) & (np.abs(direction @ direction[k]) > ACROSS))]
     where = (", ".join(f"{1e3 * v:.6g}" for v in at) for at in readings.position()[lost])
     along = (", ".join(f"{v:.3g}" for v in at) for at in direction[lost])

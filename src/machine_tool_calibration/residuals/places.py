@@ -50,8 +50,7 @@ def alike_beside_p(fit: Fit) -> float | None:
 
 def read_in_several_setups(observations: Observations) -> bool:
     """Whether a machine's own deviations were read at the same places in several setups: most of them."""
-    seen = groups(observations.readings.alike(setup=False, approach=False))
-    own = groups(observations.readings.alike(approach=False))
+    seen, own = (observations.readings.alike(setup=each, approach=False) for each in (False, True))
     return spec_of(observations.session).reads_machine and _SEVERAL * (seen.max() + 1) < own.max() + 1
 
 
