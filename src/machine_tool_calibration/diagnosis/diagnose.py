@@ -55,6 +55,8 @@ from machine_tool_calibration.words import say, together
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
+# Rows of the gross errors of each session.
+_Rows = tuple[frozenset[int], ...]
 
 
 @dataclass(frozen=True)
@@ -187,22 +189,25 @@ def diagnose(subject: Session | FitRequest, *, progress: Progress = untold) -> D
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for gross errors", 0.0)
-        added, found = _without_suspects(chosen, progress), None
+        added, searched = _without_suspects(chosen, progress), dict[_Rows, Diagnosis]()
+        found: Diagnosis | None = None
         for _ in range(_GROSS_ERROR_ROUNDS):
             # Gross errors beside the effects at hand, then effects without these errors, until neither changes.
             kept, aside = _without_gross_errors(chosen, added)
-            if found is not None and _rows(found.set_aside) == _rows(aside):
-                found = replace(found, chosen=kept, set_aside=aside)
+            last, rows = found, _rows(aside)
+            if rows not in searched:
+                searched[rows] = _search(kept, aside, progress)
+            found = replace(searched[rows], chosen=kept, set_aside=aside)
+            if last is not None and rows == _rows(last.set_aside):
                 break
-            found = _search(kept, aside, progress)
             added = found.accepted or found.search.accepted
         progress("done", 1.0)
     assert found is not None
     return found
 
 
-def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:
-    return [{outlier.row for outlier in own} for own in outliers]
+def _rows(outliers: Sequence[Sequence[Outlier]]) -> _Rows:
+    return tuple(frozenset(outlier.row for outlier in own) for own in outliers)
 
 
 def _without_gross_errors(

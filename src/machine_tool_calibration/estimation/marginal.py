@@ -161,8 +161,10 @@ class Marginal:
             return self
         inner, scale = self.inner(columns, slice(None)), np.broadcast_to(scale, (*self.log_prior.shape, len(columns)))
         lower = _factor_of_sum(inner[..., columns] * scale[..., :, None] * scale[..., None, :])
-        half = _below(lower, scale[..., None] * inner)
-        half_data = _below(lower, scale * self.data[..., columns])
+        # One product with all columns: many times as fast as substitution in each.
+        root = _inverse(lower) * scale[..., None, :]
+        half = root @ inner
+        half_data = (root @ self.data[..., columns, None])[..., 0]
         log_prior = self.log_prior - np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
         return Marginal(self, self.ratio, log_prior, half, half_data)
 
@@ -314,12 +316,17 @@ def left_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> tuple[f
 
 
 def _below(lower: Array, right: Array) -> Array:
-    """The inverse of a lower factor with a regular diagonal times (n,) or (n, k): by substitution alone."""
-    if lower.ndim > 2:
-        return np.array([_below(*each) for each in zip(lower, right, strict=True)])
+    """The inverse of a lower factor with a regular diagonal times (n,): by substitution alone."""
     if not right.size:
         return right
     return np.asarray(lapack.dtrtrs(lower.T, right, lower=0, trans=1)[0], dtype=np.float64)
+
+
+def _inverse(lower: Array) -> Array:
+    """The inverse of a lower factor with a regular diagonal: by substitution alone."""
+    if lower.ndim > 2:
+        return np.array([_inverse(each) for each in lower])
+    return np.asarray(lapack.dtrtri(lower, lower=1)[0], dtype=np.float64)
 
 
 def _factor_of_sum(matrix: Array) -> Array:
