@@ -29,10 +29,12 @@ def test_a_step_of_a_single_pass_may_be_one_of_the_place() -> None:
 
 
 def test_a_step_at_the_turn_may_be_a_reversal_that_was_not_recorded() -> None:
-    sense = np.repeat([1.0, -1.0], len(UP))
-    assert "diagnosis.unrecorded_direction" in told(THERE_AND_BACK, 2e-6 * sense)
-    said = told(THERE_AND_BACK, 2e-6 * sense, dir_x=sense)
+    sense, elsewhere = np.repeat([1.0, -1.0], len(UP)), np.concatenate([UP, UP[:0:-1] - 0.008, [0.0]])
+    assert "diagnosis.unrecorded_direction" in told(elsewhere, 2e-6 * sense)
+    said = told(elsewhere, 2e-6 * sense, dir_x=sense)
     assert "diagnosis.unrecorded_direction" not in said and "diagnosis.time_is_place" not in said
+    # The same places from either side say it by the order of the readings.
+    assert "effect.backlash" in told(THERE_AND_BACK, 2e-6 * sense)
 
 
 @pytest.mark.long

@@ -72,7 +72,8 @@ class Wanted:
         try:
             self._note_idle(entry.request(recorded, labels, prints, own), sessions, labels)
             chosen = entry.request(sessions, labels, prints, own)
-            find_effects([*chosen.effects, *{n for others in chosen.alternatives.values() for n in others}], own)
+            instead = {name for others in chosen.alternatives.values() for name in others}
+            find_effects([*chosen.effects, *instead], chosen.own)
         except ModelError as error:
             raise ModelError(f"{history_path(*paths)}: model {entry.number}: {error}") from None
         return Measured(sessions, chosen, history.way_to(entry.number))

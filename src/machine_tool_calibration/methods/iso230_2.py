@@ -14,18 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import (
-    Array,
-    BoolArray,
-    IntArray,
-    first_of_group,
-    groups,
-    means_of,
-    occurrence,
-    rms,
-)
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, means_of, occurrence, rms
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.approach import begins_run, in_steps, senses
 from machine_tool_calibration.session.catalogue import spec_of
 
 _DRAWS = 200
@@ -33,8 +25,8 @@ _DRAWS = 200
 _NOTHING = 1e-24
 # Cosine between the direction that is read and the line from which it is read along it.
 _ALONG = 0.9999
-# Extent of a place, m; commanded positions that are one target, m; how far off the line a reading may be, m.
-_PLACE_EXTENT, _SAME_TARGET, _OFF_LINE = 1e-6, 1e-5, 1e-5
+# Extent of a place, m; how far off the line a reading may be, m.
+_PLACE_EXTENT, _OFF_LINE = 1e-6, 1e-5
 
 
 @dataclass(frozen=True)
@@ -289,9 +281,7 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
     deviation = readings.displacement[mine] * np.sign(observations.direction[mine] @ line)
     if np.count_nonzero(line) > 1:
         place = place - place.min()
-    order = np.argsort(place, kind="stable")
-    group = np.empty(len(place), dtype=np.int64)
-    group[order] = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME_TARGET)]
+    group = in_steps(place)
     target = means_of(group, place)
     leading = int(np.argmax(np.abs(line)))
     recorded = readings.columns.get(f"dir_{'xyz'[leading]}")
@@ -303,20 +293,8 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
         again[first] = True
     elif recorded is not None and np.isin(recorded[mine], (-1.0, 1.0)).all():
         return target, recorded[mine] * np.sign(line[leading]), deviation
-    # Not recorded: the sign of the move to the reading; the second reading at a turning point comes from beyond, and
-    # whence the first of a run comes is not known: it was approached as the next one is.
-    counted, elsewhere = np.diff(readings.repeat[mine], prepend=-1) != 0, np.diff(group, prepend=-1) != 0
-    if 2 * np.count_nonzero(counted & ~elsewhere) > len(mine):
-        counted[1:] = False  # repeats of readings where the axis stands, and not of runs
-    again |= counted
-    move = np.where(again, 0.0, np.sign(np.diff(group, prepend=group[0] - 1)))
-    for k in np.flatnonzero(move == 0):
-        following = np.flatnonzero(np.diff(group[k:]) != 0)
-        move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
-    stay = np.cumsum(again | elsewhere)
-    if len(stay) >= 2 * stay[-1]:  # places are read several times in a row: nothing moves between
-        move = move[first_of_group(stay)]
-    return target, move, deviation
+    elsewhere = np.diff(group, prepend=-1) != 0
+    return target, senses(group, elsewhere, again | begins_run(readings.repeat[mine], elsewhere)), deviation
 
 
 def _runs(targets: Array, position: Array, deviation: Array, mine: BoolArray) -> Array:

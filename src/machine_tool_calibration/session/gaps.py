@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.session.approach import approaches
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS, Session
 
 # By how much a value that was sensed is off those before and after it, where no air and no machine changes and comes
@@ -65,9 +66,9 @@ def spikes(columns: Mapping[str, Array], name: str) -> IntArray:
 
 
 def without_gaps(session: Session) -> Session:
-    """The session with such columns filled."""
+    """The session with such columns filled, and with directions of approach that were not recorded."""
     columns = session.readings.columns
-    more = filled(columns)
+    more = {**filled(columns), **approaches(session)}
     return replace(session, readings=replace(session.readings, columns={**columns, **more})) if more else session
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups, occurrence
 from machine_tool_calibration.session import DESCRIPTION_FILE
+from machine_tool_calibration.session.approach import approaches
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.gaps import filled, spikes
 from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, ENVIRONMENT_COLUMNS, Session
@@ -34,7 +35,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
     sensors = (_spiked, _stands, _missed)
-    checks = (_still, _rounded, _copied, read_off, _beside, _recorded, _repeated, _approached, *sensors)
+    checks = (_still, _rounded, _copied, read_off, _beside, _recorded, _repeated, _approached, _unrecorded, *sensors)
     return [
         together((name, words), "")
         for name, session in pairs
@@ -134,6 +135,11 @@ def _approached(session: Session) -> Iterator[str]:
         # From one side alone many machines approach whichever way they come.
         if n >= _FEWEST_MOVES and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
             yield say("suspicion.approach", column=name, n=opposite, count=n)
+
+
+def _unrecorded(session: Session) -> Iterator[str]:
+    for name in approaches(session):
+        yield say("suspicion.unrecorded_approach", column=name)
 
 
 def _spiked(session: Session) -> Iterator[str]:

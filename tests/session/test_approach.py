@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Senses of approach that were not recorded, from the order of the rows."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests import plates
+
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.session.approach import approaches
+from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+DATA = Path(__file__).parents[1] / "data"
+PLACES = np.linspace(0.0, 0.4, 9)
+
+
+def unrecorded(session: Session) -> Session:
+    columns = {name: values for name, values in session.readings.columns.items() if not name.startswith("dir_")}
+    return replace(session, readings=replace(session.readings, columns=columns))
+
+
+def line(*runs: np.ndarray, repeat: bool = False, lost: float = 0.0) -> Session:
+    """Runs along X; the places are displaced by `lost` against the sense in which a run goes."""
+    rng, x = np.random.default_rng(5), np.concatenate(runs)
+    sense = np.concatenate([np.full(len(run), np.sign(run[-1] - run[0])) for run in runs])
+    numbers = np.repeat(np.arange(len(runs)), [len(run) for run in runs]) if repeat else np.zeros(len(x), dtype=int)
+    read = 3e-6 * np.sin(9.0 * x) - lost * sense + 1e-6 * rng.normal(size=len(x))
+    columns = {"x": x, "gx": np.ones(len(x)), "gy": 0.0 * x, "gz": 0.0 * x, "displacement": read}
+    return plates.session(columns, 1e-6, "offset", ["EXX"], numbers)
+
+
+@pytest.mark.parametrize("repeat", [False, True])
+def test_the_second_reading_at_a_turning_point_comes_from_beyond(repeat: bool) -> None:
+    session = line(PLACES, PLACES[::-1], PLACES, PLACES[::-1], repeat=repeat)
+    np.testing.assert_array_equal(approaches(session)["dir_x"], np.repeat([1.0, -1.0, 1.0, -1.0], 9))
+
+
+def test_each_run_that_goes_one_way_begins_as_it_goes_on() -> None:
+    session = line(PLACES, PLACES, PLACES[::-1], repeat=True)
+    np.testing.assert_array_equal(approaches(session)["dir_x"], np.repeat([1.0, 1.0, -1.0], 9))
+
+
+def test_nothing_moves_between_readings_of_one_place() -> None:
+    session = line(np.repeat(PLACES, 3), np.repeat(PLACES[::-1], 3))
+    sense = approaches(session)["dir_x"]
+    np.testing.assert_array_equal(sense[:27], 1.0)
+    np.testing.assert_array_equal(sense[30:], -1.0)
+
+
+@pytest.mark.parametrize("folder", ["rotary_axis", "tracking_2d"])
+def test_what_was_recorded_is_inferred(folder: str) -> None:
+    session = read_session(DATA / folder)
+    inferred = approaches(unrecorded(session))
+    for name, sense in inferred.items():
+        np.testing.assert_array_equal(sense, session.readings.columns[name])
+    if folder == "tracking_2d":
+        assert set(inferred) == {"dir_x", "dir_y"}
+
+
+@pytest.mark.parametrize(
+    "session",
+    [
+        line(PLACES, PLACES, repeat=True),
+        line(np.random.default_rng(1).permutation(PLACES), np.random.default_rng(2).permutation(PLACES)),
+        unrecorded(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=1)).session),
+    ],
+    ids=["one_way", "any_order", "probe"],
+)
+def test_none_where_nobody_came_from_either_side(session: Session) -> None:
+    assert not approaches(session)
+
+
+def test_a_reversal_without_recorded_senses() -> None:
+    session = line(*[PLACES, PLACES[::-1]] * 4, lost=5e-6)
+    assert "dir_x" not in session.readings.columns
+    (says,) = suspicions([session])
+    assert says.startswith("dir_x was not recorded")
+    senses = build_model(session)[0].observations.readings.columns["dir_x"]
+    recorded = plates.with_columns(session, dir_x=senses)
+    assert not suspicions([recorded])
+    found, known = diagnose(session), diagnose(recorded)
+    assert found.accepted == known.accepted == ("backlash_x",)
+    assert found.search.of("backlash_x").sizes == known.search.of("backlash_x").sizes
