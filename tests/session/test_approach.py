@@ -53,6 +53,12 @@ def test_nothing_moves_between_readings_of_one_place() -> None:
     np.testing.assert_array_equal(sense[30:], -1.0)
 
 
+def test_what_was_set_aside_was_on_the_way() -> None:
+    session = line(PLACES, PLACES[::-1])
+    gone = np.isin(np.arange(18), [8, 12])
+    np.testing.assert_array_equal(approaches(session.without(gone))["dir_x"], approaches(session)["dir_x"][~gone])
+
+
 @pytest.mark.parametrize("folder", ["rotary_axis", "tracking_2d"])
 def test_what_was_recorded_is_inferred(folder: str) -> None:
     session = read_session(DATA / folder)

@@ -58,15 +58,17 @@ def senses(along: IntArray, elsewhere: BoolArray, begins: BoolArray) -> Array:
 def approaches(session: Session) -> Mapping[str, Array]:
     """Columns `dir_*` of axes whose senses of approach were not recorded, where they came to places from either side.
 
-    An axis that stood all through a setup has none there. A probe goes back before it approaches.
+    An axis that stood all through a setup has none there. A probe goes back before it approaches. What was set aside
+    was on the way all the same.
     """
-    readings, out = session.readings, dict[str, Array]()
+    readings, out = session.as_recorded.readings, dict[str, Array]()
     position = {axis: readings.columns[axis] for axis in "xyzabc" if axis in readings.columns}
     lacking = [axis for axis in position if f"dir_{axis}" not in readings.columns]
     if spec_of(session).probes_surface or not all(np.isfinite(values).all() for values in position.values()):
         return out
     steps = {axis: in_steps(values) for axis, values in position.items() if lacking and len(values)}
     place = groups(readings.setup, *steps.values())
+    kept = np.isin(readings.row, session.readings.row)
     setups = [np.flatnonzero(readings.setup == setup) for setup in np.unique(readings.setup)]
     for axis in lacking if steps else ():
         sense = np.zeros(len(readings))
@@ -79,5 +81,5 @@ def approaches(session: Session) -> Mapping[str, Array]:
         # Of the share that moved, less that by which one side is the more frequent: twice that of the rarer side.
         mean, moved = means_of(place, sense), means_of(place, np.abs(sense))
         if np.mean(moved - np.abs(mean) >= 2.0 * _RARER) >= _EITHER:
-            out[f"dir_{axis}"] = sense
+            out[f"dir_{axis}"] = sense[kept]
     return out
