@@ -223,6 +223,9 @@ def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Arra
     return error, np.einsum("knd,kl,lne->nde", field, covariance, field, optimize=True)
 
 
+OPEN_SHARE = 1e-6
+"""Share of the largest displacement by what is open below which one is rounding, such as that of nodes' positions."""
+
 OPEN_CHANGE = 1e-9
 """Change with an undetermined direction of unit length from which a position error is not determined itself, m."""
 

@@ -127,7 +127,9 @@ def test_a_beam_a_little_off_the_axis_senses_no_other() -> None:
 def test_several_sessions_share_what_any_of_them_senses(direct: SimpleNamespace) -> None:
     x, y = _run(direct, 0, ["EXX"]), _run(direct, 1, ["EYY"])
     together = identify_sessions(FitRequest((x, y), ("x", "y"))).error_map
-    assert np.isfinite(together.error[:, :2]).all() and np.isnan(together.error[:, 2]).all()
+    # Where one was read and the other stood, nobody knows what it does across itself.
+    stood = together.points != 0.0
+    np.testing.assert_array_equal(np.isnan(together.error), np.stack([stood[:, 1], stood[:, 0], stood[:, 2] == 0], 1))
     assert np.isnan(together.uncertainty[:, 2]).all()
 
 
@@ -294,3 +296,13 @@ def test_several_sessions_have_tables_which_they_can_share(direct: SimpleNamespa
     sessions = (measured(direct, 5), measured(direct, 6))
     with pytest.raises(ModelError, match="none of the sessions has a model 'free'; known are rigid_body"):
         identify_sessions(FitRequest(sessions, ("a", "b"), model="free"))
+
+
+def test_runs_along_three_axes_say_nothing_of_what_each_does_across_itself(direct: SimpleNamespace) -> None:
+    at = np.concatenate([np.outer(np.append(NODES, NODES), np.eye(3)[axis]) for axis in range(3)])
+    g = np.repeat(np.eye(3), 2 * len(NODES), axis=0)
+    found = identify(direct.written(at, g, 1e-5 * at.sum(axis=1), terms=["EXX", "EYY", "EZZ"])).error_map
+    away = np.abs(found.points) > 0.0
+    across = away.any(axis=1)[:, None] & ~away
+    np.testing.assert_array_equal(np.isnan(found.error), across)
+    np.testing.assert_array_equal(np.isnan(found.uncertainty), across)

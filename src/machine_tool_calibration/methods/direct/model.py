@@ -44,6 +44,7 @@ from machine_tool_calibration.model.observations import SAME_POSITION, Observati
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
+    OPEN_SHARE,
     MachineTable,
     determined_part,
     map_field,
@@ -276,6 +277,8 @@ _OPEN = {"none": "tables", "offset": "offsets", "rigid": "shifts"}
 _ALL = 0.95
 # Component of a unit direction below which a reading does not sense an axis: a beam that is a little off it.
 _ACROSS = 1e-2
+# Share of the range of readings by which a point may be beyond it.
+_BEYOND = 1e-3
 
 
 def sensed_axes(direction: Array) -> BoolArray:
@@ -283,23 +286,39 @@ def sensed_axes(direction: Array) -> BoolArray:
     return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
 
 
+def sensed_at(points: Array, position: Array, direction: Array) -> BoolArray:
+    """(m, 3) machine axes along which readings sense the errors at points (m, 3).
+
+    As far as their positions (n, 3) reach along every axis: what a run along Z does across itself no run along X says.
+    """
+    out = np.zeros((len(points), 3), dtype=bool)
+    for axis in range(3):
+        own = position[np.abs(direction[:, axis]) > _ACROSS]
+        if len(own):
+            low, high = own.min(axis=0), own.max(axis=0)
+            margin = SAME_POSITION + _BEYOND * (high - low)
+            out[:, axis] = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
+    return out
+
+
 def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """The contract's content for `direct`.
 
     What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
-    neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses is NaN
-    everywhere: a term or an effect may move it, but nothing was measured there.
+    neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses at a point is
+    NaN: a term or an effect may move it, but nothing was measured there.
     """
     observations, tables, setups = model.observations, model.tables or model.points, model.setups
     own, n = len(setups.parameters), len(observations)
     # Terms of added effects follow those of the tables; of them only displacements count. What is not sensed has no
     # part in the map's least squares, and distinguishes no states of an effect.
-    sensed = sensed_axes(observations.direction)
+    sensed = sensed_at(observations.position, observations.position, observations.direction)
     terms = model.terms[len(tables) :]
     effects = [np.zeros((len(t.parameters), n, 3)) if t.field is None else t.field * sensed for t in terms]
     first, state = first_states(observations.position, np.concatenate([np.zeros((0, n, 3)), *effects]))
     points = observations.position[first]
     # Many readings may be of few places.
+    sensed = sensed[first]
     of_tables = map_field(tables, points) * sensed
     field = np.concatenate([of_tables, *(one[:, first] for one in effects)])
     ways = (observations.readings.columns.get(f"dir_{axis}", np.zeros(n)) for axis in "xyz")
@@ -307,9 +326,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     approach = np.trunc([means_of(state, way)[first] for way in ways]) + 0.0
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
-    common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction)
+    common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction, sensed)
     if common.shape[1]:
-        flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
+        flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=OPEN_SHARE)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     # A restated fit says what other readings do, and these are off the map as they are.
@@ -377,15 +396,15 @@ def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]
     return squares, dof, reversal
 
 
-def _common(tables: Array, setups: datum.SetupDatum, points: Array, direction: Array) -> Array:
-    """(3 n, q) unit displacements of all points that the setups leave open, in the directions that are read."""
+def _common(tables: Array, setups: datum.SetupDatum, points: Array, direction: Array, sensed: BoolArray) -> Array:
+    """(3 n, q) unit displacements of all points that the setups leave open, in the directions that are read (n, 3)."""
     n = len(points)
     parts = [tables]
     if setups.kind == "rigid":
         moved = rigid_motions(points - points.mean(axis=0))
-        parts.append((moved * sensed_axes(direction)[:, None]).reshape(3 * n, 6))
+        parts.append((moved * sensed[..., None]).reshape(3 * n, 6))
     elif setups.kind == "offset" and np.allclose(np.abs(direction @ direction[0]), 1.0, atol=1e-9):
-        parts.append(np.tile(direction[0] * sensed_axes(direction), n)[:, None])
+        parts.append((direction[0] * sensed).reshape(3 * n, 1))
     common = np.concatenate(parts, axis=1)
     size = np.linalg.norm(common, axis=0)
     return np.asarray(common[:, size > 1e-9] / size[size > 1e-9])

@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.error_motions import parse_motion
-from machine_tool_calibration.methods.direct.model import sensed_axes
+from machine_tool_calibration.methods.direct.model import sensed_at
 from machine_tool_calibration.methods.joint.between_nodes import between_nodes
 from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
@@ -33,7 +33,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     What all readings together leave open is taken out of the position errors by least squares over the points.
     Where a component depends on a table beyond its nodes, which a session reached that does not determine it there,
     it has no value; where it depends on one between its nodes, what straight lines may be wrong by is in its
-    uncertainty. A direction of the machine that no reading of any session senses has no value either.
+    uncertainty. A direction of the machine that no reading of any session senses at a point has no value either.
     """
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
@@ -47,20 +47,21 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     n = len(points)
     field = rigid_body.map_field(common.tables, points)
     beyond, lost = _beyond(common.tables, points)
-    beyond |= ~_sensed(common)
+    beyond |= ~_sensed(common, points)
     silent = solution.undetermined_directions()[index]
     inside = ~(beyond | _of_unread(field, silent)).reshape(-1)
     fixed = [common.fixed[label] for table in common.tables for label in table.labels]
     open_ = field.reshape(len(field), 3 * n).T @ np.array(fixed) if fixed else np.zeros((3 * n, 0))
     size = np.linalg.norm(open_[inside], axis=0)
-    open_ = open_[:, size > 1e-9] / size[size > 1e-9]
+    moves = size > rigid_body.OPEN_SHARE * size.max(initial=0.0)
+    open_ = open_[:, moves] / size[moves]
 
     def without_open(moved: Array) -> Array:
         """(k, n, 3) displacements without what is open."""
         if not (moved.size and open_.size):
             return moved
         whole = moved.reshape(len(moved), 3 * n)
-        taken = open_ @ np.linalg.lstsq(open_[inside], whole.T[inside], rcond=1e-9)[0]
+        taken = open_ @ np.linalg.lstsq(open_[inside], whole.T[inside], rcond=rigid_body.OPEN_SHARE)[0]
         return np.asarray(whole - taken.T).reshape(moved.shape)
 
     field = without_open(field)
@@ -91,12 +92,13 @@ def _of_unread(field: Array, silent: Array) -> BoolArray:
     return np.asarray((np.abs(field[unread]) > _MOVES).any(axis=0))
 
 
-def _sensed(common: CommonModels) -> BoolArray:
-    """(3,) machine axes along which some session senses the errors of the linear axes."""
+def _sensed(common: CommonModels, points: Array) -> BoolArray:
+    """(n, 3) machine axes along which some session senses the errors of the linear axes at points (n, 3)."""
     names = {table.name for table in common.tables}
     told = [m for m in common.models if any(term.name in names and term.columns.any() for term in m.terms)]
-    directions = [m.observations.direction for m in told]
-    return sensed_axes(np.concatenate([np.zeros((0, 3)), *directions]))
+    position = np.concatenate([np.zeros((0, 3)), *(m.observations.position for m in told)])
+    direction = np.concatenate([np.zeros((0, 3)), *(m.observations.direction for m in told)])
+    return sensed_at(points, position, direction)
 
 
 def _beyond(tables: Sequence[rigid_body.MachineTable], points: Array) -> tuple[BoolArray, tuple[NotDetermined, ...]]:
@@ -128,9 +130,9 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
     every = [m.observations.position for m in joint.assembly.models if getattr(m, "tables", None)]
     if not every or not common.tables:
         return np.zeros((0, 3))
-    points = np.unique(np.round(np.concatenate(every), 9) + 0.0, axis=0)
-    step = -(-len(points) // _MOST_POINTS)
-    return np.asarray(points[::step])
+    places = np.concatenate(every) + 0.0
+    first = np.unique(np.round(places, 9), axis=0, return_index=True)[1]
+    return np.asarray(places[first[:: -(-len(first) // _MOST_POINTS)]])
 
 
 def _rotary(joint: JointFit) -> dict[str, Any]:
