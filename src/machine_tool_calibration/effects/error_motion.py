@@ -123,7 +123,7 @@ class ErrorMotionEffect(AxisEffect):
         direct = spec_of(observations.session).reads_machine
         if self.motion.is_rotation or not direct or observations.covered is not None:
             return None
-        moved = np.ptp(observations.position, axis=0) > SAME_POSITION
+        moved = observations.moved
         if moved.sum() != 1 or not moved["xyz".index(self.axis)]:
             return None
         nodes, count = np.unique(np.round(observations.readings.column(self.axis), 6), return_counts=True)

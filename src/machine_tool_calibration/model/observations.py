@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, in_order_of_appearance
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.estimation.sensor_noise import without_noise
 from machine_tool_calibration.model.rounding import by_rounding
 from machine_tool_calibration.session.session import Readings, Session, joined
@@ -110,9 +110,14 @@ class Observations:
         return by_rounding(readings.displacement, self.path, readings.setup, spot, self.place)
 
     @property
+    def moved(self) -> BoolArray:
+        """(3,) along which of x, y and z more than one position was read."""
+        return np.asarray(np.ptp(self.position, axis=0) > SAME_POSITION) if len(self) else np.zeros(3, dtype=bool)
+
+    @property
     def moves(self) -> bool:
         """Whether more than one position was read."""
-        return bool((np.ptp(self.position, axis=0) > SAME_POSITION).any()) if len(self) else False
+        return bool(self.moved.any())
 
     def span(self, axis: str) -> tuple[float, float]:
         """Lowest and highest position of a linear axis on which functions of its position are scaled, m.

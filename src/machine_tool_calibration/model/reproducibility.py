@@ -242,8 +242,7 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
 def _of_direct(observations: Observations) -> Iterator[Family]:
     """Setups; runs and passes over a single axis; rows and columns of a grid; otherwise runs."""
     yield from _setups(observations)
-    position = observations.position
-    moved = [j for j in range(3) if np.ptp(position[:, j]) > SAME_POSITION] if len(position) else []
+    moved = np.flatnonzero(observations.moved).tolist()
     run = observations.readings.repeat_of_setup
     if len(moved) >= 2:
         if _tell(observations.place, run):

@@ -8,7 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.observations import SAME_POSITION
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import Family
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
@@ -18,19 +18,9 @@ from machine_tool_calibration.session.session import Session
 _FEWEST, _MOST = 4, 100
 
 
-def places_differ(fit: Fit) -> Noise | None:
-    """What repeats say of the noise where direct deviations of places differ by more than their repeats do.
-
-    A hole that was drilled once and measured five times shows the machine once: so it is where places differ along at
-    least two axes. The readings of a single axis are the machine's own, run after run. None where they do not differ,
-    or nothing says so; the fit is of the model without further effects.
-    """
-    observations = fit.model.observations
-    moved = (np.ptp(observations.position, axis=0) > SAME_POSITION).sum()
-    if not spec_of(observations.session).reads_machine or moved < 2 or np.bincount(observations.place).max() < 2:
-        return None
-    noise = noise_of(fit)
-    return None if noise.lack_of_fit_p is None or noise.lack_of_fit_p > priors.LACK_OF_FIT_P else noise
+def _of_an_area(observations: Observations) -> bool:
+    """Whether direct deviations of places along two axes or more were read."""
+    return spec_of(observations.session).reads_machine and observations.moved.sum() >= 2
 
 
 def own_of_places(fit: Fit) -> tuple[Family, ...]:
@@ -39,8 +29,7 @@ def own_of_places(fit: Fit) -> tuple[Family, ...]:
     In another setup, too: by what the same place differs runs and setups do, and not by what no model has of a part.
     """
     observations = fit.model.observations
-    moved = (np.ptp(observations.position, axis=0) > SAME_POSITION).sum()
-    if not spec_of(observations.session).reads_machine or moved < 2:
+    if not _of_an_area(observations):
         return ()
     place = observations.readings.alike(setup=False, approach=False)
     again = np.bincount(place)[place] > 1
@@ -49,22 +38,22 @@ def own_of_places(fit: Fit) -> tuple[Family, ...]:
     return (Family("place", np.where(again, place, 0), again[None].astype(float)),)
 
 
-def _are_few(fit: Fit) -> bool:
-    """Whether so few places are left beside the model's unknowns that a further effect would explain any means."""
-    unknowns = len(fit.model.observations) - fit.solution.degrees_of_freedom
-    return int(fit.model.observations.place.max()) + 1 - unknowns < priors.ENOUGH_PLACES
-
-
 def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
-    """The session with the mean of the readings of each place, where these differ, and what repeats say of the noise.
+    """The session with the mean of the readings of each place, where these differ by more than their repeats do.
 
-    None where they do not, or are few.
+    A hole that was drilled once and measured five times shows the machine once: so it is where places differ along at
+    least two axes. The readings of a single axis are the machine's own, run after run. With it what repeats say of the
+    noise, beside a model without further effects; None where places do not differ, nothing says so, or so few are left
+    beside the model's unknowns that a further effect would explain any means.
     """
     observations = fit.model.observations
     session, readings, place = observations.session, observations.readings, observations.place
     count = np.bincount(place)
-    noise = None if _are_few(fit) else places_differ(fit)
-    if noise is None:
+    spare = len(count) + fit.solution.degrees_of_freedom - len(observations)
+    if spare < priors.ENOUGH_PLACES or not _of_an_area(observations) or count.max() < 2:
+        return None
+    noise = noise_of(fit)
+    if noise.lack_of_fit_p is None or noise.lack_of_fit_p > priors.LACK_OF_FIT_P:
         return None
     first = np.unique(place, return_index=True)[1]
 

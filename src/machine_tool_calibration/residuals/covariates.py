@@ -49,17 +49,10 @@ def sensed(observations: Observations, axis: str) -> Array:
 
 
 def rank_covariates(values: Mapping[str, Array], residual: Array, most: int = _BINS) -> list[tuple[str, float]]:
-    """Covariates in the order in which a running mean over them follows the residuals.
+    """Covariates in the order in which a running mean over them follows the residuals (n,).
 
-    For the choice of pictures only: it tests nothing, and covariates that go together all come first.
-
-    Args:
-        values: covariates, each (n,).
-        residual: (n,) residuals, or residuals over their uncertainty.
-        most: bins of the running mean.
-
-    Returns:
-        Names with the share of the residuals' variance that the mean in bins takes, adjusted for the number of bins.
+    For the choice of pictures only: it tests nothing, and covariates that go together all come first. Names with the
+    share of the residuals' variance that the mean in so many bins takes, adjusted for their number.
     """
     shares = []
     for name, column in values.items():

@@ -48,13 +48,10 @@ class Bulk:
 
 
 def bulk_of(size: Array, redundancy: float, least: float, explained: BoolArray | None = None) -> Bulk:
-    """The bulk of predicted residuals: those beyond the limit have no say.
+    """The bulk of predicted residuals of some sizes over the declared uncertainty: those beyond the limit have no say.
 
-    Args:
-        size: their sizes over the declared uncertainty.
-        redundancy: degrees of freedom of their scatter.
-        least: scatter by the rounding of readings, of which no reading stands out.
-        explained: which are no gross errors, however large.
+    Their scatter has as many degrees of freedom as the `redundancy`, and of the `least` one, by the rounding of
+    readings, none stands out. Those that are `explained` are no gross errors, however large.
     """
     if not len(size) or not np.isfinite(size).all():
         return Bulk(np.inf, priors.WIDTH, np.inf, np.inf)
@@ -121,12 +118,9 @@ def _scale_and_tails(size: Array, redundancy: float) -> tuple[float, Array]:
 
 
 def predicted_by_others(products: Array, deviation: Array, weight: Array) -> tuple[Array, Array]:
-    """A and b (above) of a few readings, from a fit in which they took part with weights.
+    """A and b (above) of a few readings, from a fit in which they took part with weights from `HELD_OUT` to 1.
 
-    Args:
-        products: (k, k) covariance of the predictions of these readings.
-        deviation: (k,) of the readings from these predictions.
-        weight: (k,) with which each took part, between `HELD_OUT` and 1.
+    The predictions of these readings have the covariance `products` (k, k), from which they deviate by `deviation`.
     """
     # With h the variance of a prediction without them, h / (1 + w h) is the one at hand. Of what they alone determine,
     # all of it is theirs.
@@ -142,10 +136,8 @@ def predicted_by_others(products: Array, deviation: Array, weight: Array) -> tup
 def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
     """The set of gross errors with the most evidence, found step by step: the worst is added, the others judged anew.
 
-    Args:
-        inverse: (k, k) A.
-        pulled: (k,) b.
-        limit: a single predicted residual of so many standard deviations is as likely gross as noise: c = limit^2 / 2.
+    With A the `inverse` and b `pulled`; a single predicted residual of as many standard deviations as the limit is as
+    likely gross as noise: c = limit^2 / 2.
     """
     left, pull = inverse.copy(), pulled.copy()
     gross = np.zeros(len(pulled), dtype=bool)
@@ -175,16 +167,8 @@ def compared_sets(inverse: Array, pulled: Array, bulk: Bulk, sound: BoolArray) -
     """All sets of gross errors among a few readings; where these are too many, those that the best of fewer grow into.
 
     One step after the other is not enough here: two wrong readings may agree with each other better than each does
-    with the sound ones.
-
-    Args:
-        inverse: (k, k) A.
-        pulled: (k,) b.
-        bulk: its limit as of `best_set`; what may as well be wrong is compared by the prior odds alone.
-        sound: (k,) which are in none of the sets.
-
-    Returns:
-        The set with the most evidence, and the readings in which others that are probable differ from it.
+    with the sound ones, which are in none of the sets. As for `best_set`; what may as well be wrong is compared by the
+    prior odds alone. Returned are the set with the most evidence, and the readings in which probable others differ.
     """
     k, cost = len(pulled), bulk.odds
     inverse = (
@@ -240,10 +224,7 @@ def groups_of_points(part: Part) -> list[IntArray]:
 def groups_of_unknowns(part: Part, start: tuple[Array, Array], size: int) -> list[IntArray]:
     """Groups of readings that see shared unknowns which no others see, those of the fewest readings joined first.
 
-    Args:
-        part: the readings.
-        start: shared unknowns and points at which they are linearised.
-        size: number of shared unknowns.
+    They are linearised at a start, so many shared unknowns and the points.
     """
     sees = np.zeros((part.n_readings, size), dtype=bool)
     for group, chunk in part.chunks():

@@ -48,7 +48,7 @@ from machine_tool_calibration.residuals.gross_error_sets import (
     groups_of_unknowns,
     predicted_by_others,
 )
-from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
+from machine_tool_calibration.residuals.leverage import hat_values, prediction_jacobian
 from machine_tool_calibration.residuals.neighbours import Neighbours
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -75,17 +75,11 @@ class Outlier:
 def find_outliers(
     session: Session, build: Callable[[Session], MethodModel], plain: Callable[[Session], MethodModel] | None = None
 ) -> list[Outlier]:
-    """The readings with gross errors, the largest first.
+    """The readings with gross errors, the largest first; what the session says to be sound is never among them.
 
-    A model that draws more from the readings than unknowns is made anew without what was set aside.
-
-    Args:
-        session: the measurement; what it says to be sound is never among them.
-        build: makes the model of a session.
-        plain: makes one with less in it, which tells the largest where the model allows no fit with all readings.
-
-    Returns:
-        None where the data does not allow the model, which its own fit will say.
+    A model that draws more from the readings than unknowns is made anew without what was set aside. One with less in
+    it, which `plain` makes, tells the largest where the model allows no fit with all readings. None is found where the
+    data does not allow the model, which its own fit will say.
     """
     found, largest = list[Outlier](), list[Outlier]()
     for _ in range(ROUNDS):
@@ -116,12 +110,7 @@ def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = Fa
 
 @single_blas()
 def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) -> IntArray:
-    """Rows of the readings that may be wrong, or see something that the model lacks, if any of them lies far out.
-
-    Args:
-        session: the measurement.
-        build: makes the model of a session.
-    """
+    """Rows of the readings that may be wrong, or see something that the model lacks, if any of them lies far out."""
     try:
         search = _Search.of(session, build)
         rows = search.readings.row[search.suspected()]
@@ -152,8 +141,7 @@ class _Fit:
         reached = prediction_jacobian(self.part, self.solution, 0, self.weight, which)
 
         def of(at: IntArray) -> tuple[Array, Array]:
-            some = PredictionJacobian(reached.shared[at], reached.own[at], reached.point[at])
-            products = some.products(some, self.solution.covariance)
+            products = reached.products(at, self.solution.covariance)
             return predicted_by_others(products, self.residual[which[at]] / self.bulk.scale, self.weight[which[at]])
 
         return of

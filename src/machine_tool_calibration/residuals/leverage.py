@@ -34,12 +34,12 @@ class PredictionJacobian:
     own: Array  # (k, d) by the point's own unknowns, in units of their uncertainty
     point: IntArray  # (k,) which point; -1 without points
 
-    def products(self, other: PredictionJacobian, covariance: Array) -> Array:
-        """(k, l) covariances of the predictions of these readings with those of others."""
-        out = self.shared @ covariance @ other.shared.T
-        if self.own.shape[1]:
-            same = (self.point[:, None] == other.point[None, :]) & (self.point[:, None] >= 0)
-            out += same * (self.own @ other.own.T)
+    def products(self, at: IntArray, covariance: Array) -> Array:
+        """(j, j) covariances of the predictions of some of these readings, from that of the shared unknowns."""
+        shared, own, point = self.shared[at], self.own[at], self.point[at]
+        out = shared @ covariance @ shared.T
+        if own.shape[1]:
+            out += ((point[:, None] == point) & (point >= 0)) * (own @ own.T)
         return np.asarray(out)
 
 
@@ -52,13 +52,8 @@ def hat_values(part: Part, solution: Solution, index: int, weight: Array) -> Arr
     """(n,) variance of each reading's prediction over the reading's own.
 
     Below 1 for a reading that takes part with its full weight; anything for one that hardly takes part; 1 for readings
-    of a point of which they do not fix all.
-
-    Args:
-        part: the readings, without weights.
-        solution: of the problem with the weights.
-        index: place of the part in the problem.
-        weight: (n,) factor on the inverse of each reading's variance.
+    of a point of which they do not fix all. The part, of this index in the problem that was solved, has no weights yet:
+    (n,) factors on the inverse of each reading's variance.
     """
     out = np.ones(part.n_readings)
     for group, chunk, seen in _seen(part, solution, index, weight):
@@ -80,15 +75,7 @@ def hat_values(part: Part, solution: Solution, index: int, weight: Array) -> Arr
 def prediction_jacobian(
     part: Part, solution: Solution, index: int, weight: Array, which: IntArray
 ) -> PredictionJacobian:
-    """How the prediction of some readings hangs on the unknowns.
-
-    Args:
-        part: the readings, without weights.
-        solution: of the problem with the weights.
-        index: place of the part in the problem.
-        weight: (n,) factor on the inverse of each reading's variance.
-        which: (k,) the readings.
-    """
+    """How the prediction of some readings (k,) hangs on the unknowns; all else as for `hat_values`."""
     place = np.full(part.n_readings, -1, dtype=np.int64)
     place[which] = np.arange(len(which))
     shared = np.zeros((len(which), len(solution.theta)))

@@ -17,17 +17,16 @@ _UNSEEN = 1e-4
 class Neighbours:
     """Readings next to each other in time in a run, and those that repeat each other in other runs.
 
-    What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
+    What they share is a course of the run, or reproduces: no gross error, whatever the model lacks. Readings (k,) are
+    judged among the residuals (n,) of all, `noise` is the standard deviation of these, and the limit of a deviation
+    counts in standard deviations; what was read, m, stands beside the way of the axes up to each reading, m or rad.
     """
 
     def __init__(self, readings: Readings, direction: Array, of_machine: bool = False) -> None:
-        """Order them.
+        """Readings in the order of time, and the direction (n, 3) that each senses: along x and y of a part two runs.
 
-        Args:
-            readings: in the order of time; those along x and along y of a part are two runs.
-            direction: (n, 3) that each senses.
-            of_machine: whether they are the machine's own deviations, in which a short stretch that jumps away and back
-                may be its own, and places near each other are alike.
+        In those `of_machine`, its own deviations, a short stretch that jumps away and back may be the machine's, and
+        places near each other are alike.
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
@@ -49,12 +48,7 @@ class Neighbours:
         self.elsewhere = _Ordered(place)
 
     def course(self, which: IntArray, residual: Array) -> Array:
-        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
-
-        Args:
-            which: (k,) the readings.
-            residual: (n,) of all.
-        """
+        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few."""
         along, values = self.run.near(which, residual)
         line, level = _line(along, values), _median(values, priors.AGREEING)
         # At the ends of a run a wrong neighbour turns the line: what is nearer.
@@ -63,14 +57,7 @@ class Neighbours:
         return np.nan_to_num(np.where(other, level, line))
 
     def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
-        """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
-
-        Args:
-            which: (k,) the readings.
-            residual: (n,) of all.
-            noise: standard deviation of the residuals.
-            limit: of a deviation, in standard deviations.
-        """
+        """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it."""
         along, values = self.run.near(which, residual)
         repeats, out = self.repeats.near(which, residual)[1], np.zeros(len(which), dtype=bool)
         burst = self._in_a_burst(which, residual, noise)
@@ -150,16 +137,8 @@ class Neighbours:
 
         Beside a step, or where a curve is too steep for a table with straight lines, the model does not. That the
         machine has one there and the reading is right (the prediction misses it by noise), against that it is wrong
-        (the prediction misses it by what the model does, and noise): a ratio of likelihoods. For readings of the
-        machine's own deviation.
-
-        Args:
-            which: (k,) the readings.
-            read: (n,) what was read, m.
-            way: (n,) way of the axes up to each reading, m or rad.
-            missed: (k,) what was read less what the model predicts, m.
-            noise: (k,) standard deviation of the readings, m.
-            limit: of a deviation, in standard deviations.
+        (the prediction misses it by what the model does, `missed` (k,), and `noise` (k,), m): a ratio of likelihoods.
+        For readings of the machine's own deviation.
         """
         along, values = self.run.near(which, read)
         distance = self.run.near(which, way)[1] - way[which][:, None]
@@ -186,11 +165,6 @@ class Neighbours:
         """(k,) whether what was read bends the same way at a reading and beside it, its place having been read once.
 
         Along a course that is too steep for a table it does; beside a wrong reading it bends the other way than there.
-
-        Args:
-            which: (k,) the readings.
-            read: (n,) what was read, m.
-            way: (n,) way of the axes up to each reading, m or rad.
         """
         once = np.bincount(self.elsewhere.group)[self.elsewhere.group[which]] == 1
         values, at = (np.insert(self.run.near(which, own, 2)[1], 2, own[which], axis=1) for own in (read, way))

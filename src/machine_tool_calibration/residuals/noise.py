@@ -52,12 +52,9 @@ class Noise:
 
 
 def noise_of(fit: Fit) -> Noise:
-    """Compare residuals with the declared uncertainty and with repeats.
+    """Compare residuals of a session with the declared uncertainty and with repeats.
 
     What does not reproduce from run to run is neither noise nor a lack of fit.
-
-    Args:
-        fit: one session's share in a fit.
     """
     place, readings = fit.model.observations.place, fit.model.observations.readings
     count = np.bincount(place)

@@ -23,13 +23,7 @@ def alike_beside_p(fit: Fit) -> float | None:
     """Probability that places next to each other are left so much alike if there is no pattern: Moran's I.
 
     Places are compared by the mean of their readings' residuals, with those that were read in the same setup, along the
-    same direction and approached from the same side.
-
-    Args:
-        fit: one session's share in a fit.
-
-    Returns:
-        None where too few places were read.
+    same direction and approached from the same side. None where too few places were read.
     """
     observations = fit.model.observations
     columns, place = observations.readings.columns, observations.place

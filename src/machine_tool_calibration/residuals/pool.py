@@ -163,15 +163,7 @@ class Pool:
         return out
 
     def screen(self, columns: Array, *, random: bool = False) -> Projected:
-        """What the fit leaves of (k, n) further columns.
-
-        The squared norms before count within the runs: a constant of a run is its datum, and an effect counts by how it
-        varies.
-
-        Args:
-            columns: change of each reading, m.
-            random: whether unknowns that are random functions take their share, of the size that they have in the fit.
-        """
+        """What the fit leaves of (k, n) further columns, m; `random` unknowns take their share if they are to."""
         fit = self.fit if random else self.fit.without_random
         return screen_columns(fit, [columns[:, piece] for piece in self.pieces])
 
@@ -184,9 +176,7 @@ class Pool:
 def _shown(columns: Array, sigma: Array) -> Array:
     """(k, n) columns of independent coefficients of size 1 in directions of their own, without those that do not show.
 
-    Args:
-        columns: (r, n) of coefficients that are independent and alike.
-        sigma: (n,) what a reading must exceed, per unit of the coefficients.
+    From columns (r, n) of coefficients that are independent and alike; to show is to exceed `sigma` (n,) per unit.
     """
     _, size, readings = np.linalg.svd(columns / sigma, full_matrices=False)
     kept = size > _LEAST_SIGNAL

@@ -25,14 +25,10 @@ class Sums:
 
 
 def residual_sums(fit: Fit, weights: Array) -> Sums:
-    """Sums of the residuals of a fit.
+    """Sums with weights w (k, n) of the residuals of a session's fit.
 
     The residuals of a fitted model are smaller than the readings' errors and go together; with M the projector off the
     model, the variance of w.r is w' V^1/2 M V^1/2 w and not sigma^2 w'w.
-
-    Args:
-        fit: of a single session.
-        weights: (k, n).
     """
     variance = fit.model.sigma**2
     # Columns V w, so that their product with the weighted residuals is w.r.
