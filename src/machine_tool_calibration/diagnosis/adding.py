@@ -96,11 +96,7 @@ def add_probable(
 
 
 def _settled(fit: JointFit) -> None:
-    """Nothing, if the iteration came to rest.
-
-    Raises:
-        ModelError: it did not: the unknowns are so nearly interchangeable that no step is small.
-    """
+    """A ModelError if the iteration did not come to rest: unknowns so nearly interchangeable that no step is small."""
     squares = sum(float(np.sum((own.residuals / own.model.sigma) ** 2)) for own in fit.fits)
     expected = fit.solution.chi_square
     if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.assembly.problem.priors is None:
@@ -212,10 +208,7 @@ def explain_nearly_all(
 ) -> bool:
     """Whether those of some effects that can be added explain nearly all that all of them explain together.
 
-    Args:
-        names: of all of them.
-        fitted: the first model and one after every one that can be added.
-        fit_with: the fit with effects.
+    The first model was `fitted`, and one after every effect that can be added.
     """
     try:
         every = fit_with(tuple(names)).joint.solution.chi_square
@@ -252,11 +245,7 @@ def _sized(fit: JointFit, name: str, *, memory: bool = False) -> bool:
 
 
 def _hold(before: ErrorMap, after: ErrorMap) -> None:
-    """Nothing, if all that was determined still is with another effect in the model.
-
-    Raises:
-        ModelError: some of the map is no longer determined, or its uncertainty has grown beyond all use.
-    """
+    """A ModelError if with another effect in the model some of the map is no longer determined, or not to any use."""
     lost, growth = 0, 1.0
     for name in filter(_OF_THE_MACHINE.fullmatch, before.content):
         old = np.asarray(before.content[name], dtype=float)

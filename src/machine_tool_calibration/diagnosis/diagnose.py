@@ -176,14 +176,10 @@ class Diagnosis:
 
 
 def diagnose(subject: Session | FitRequest, *, progress: Progress = untold) -> Diagnosis:
-    """Look for missing effects in one session, or in several of one machine together.
+    """Look for missing effects, of the catalogue and the user's own, in one session, or in several of one machine.
 
-    Args:
-        subject: the measurement or measurements; the user's own effects are looked for beside the catalogue.
-        progress: called with what is being done and the share that is finished.
-
-    Raises:
-        ModelError: the data does not allow the model.
+    `progress` is called with what is being done and the share that is finished. A ModelError: the data does not allow
+    the model.
     """
     chosen = FitRequest.of(subject)
     # Many small products: more than one thread for each only costs.
@@ -315,10 +311,7 @@ def _feasible(
 
     What was probable beside them alone is not any longer. What is probable in their place alone is no cause for that,
     unless it is a special case of them, or one explains more. Where those that can be added explain nearly as much as
-    all did, nothing is looked for again.
-
-    Returns:
-        The search; how its effects do on readings that were left out; and which of them were added.
+    all did, nothing is looked for again. Also how its effects do on readings that were left out, and which were added.
     """
     pool = with_laws(first.joint, searched.present)
     structures, side_by_side = structure_candidates(pool), _side_by_side(searched)

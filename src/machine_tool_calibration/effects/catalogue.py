@@ -93,11 +93,8 @@ def _plugins() -> tuple[Effect, ...]:
 def catalogue(own: Sequence[Effect] = (), recorded: Sequence[str] = ()) -> dict[str, Effect]:
     """All effects by id: built-in, of plugins, of what was recorded, and the user's own; none replaces an earlier one.
 
-    A ModelError if one of the user's own has the id of another effect.
-
-    Args:
-        own: the user's own effects.
-        recorded: names of the sessions' columns: those that no other effect takes have theirs.
+    Columns of the sessions that no other effect takes have theirs. A ModelError if one of the user's own has the id of
+    another effect.
     """
     out = {effect.id: effect for effect in _built_in()}
     for effect in _plugins():

@@ -33,11 +33,9 @@ class Components:
         return np.exp(self.log_weights)
 
     def quantiles(self, weights: Array, probabilities: Sequence[float]) -> list[float]:
-        """Sizes that are not exceeded with some probabilities, in units of the noise.
+        """Sizes that are not exceeded with some probabilities, in ascending order, in units of the noise.
 
-        Args:
-            weights: (families,) of the squares of the families' sizes, of whose sum it is the root.
-            probabilities: in ascending order.
+        Each is the root of the sum of the squares of the families' sizes with weights (families,).
         """
         size = np.sqrt(np.square(np.array(self.ratios)) @ weights)
         zero = float(self.weights[size == 0].sum())

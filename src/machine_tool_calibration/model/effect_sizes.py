@@ -114,19 +114,15 @@ def _scales(signal: float, coefficients: int) -> Array:
 
 
 def smallest_signal(values: Array, along: float, needed: float, power: float = priors.DETECTED) -> float:
-    """Norm of a signal, in standard uncertainties, whose Bayes factor reaches a limit with a given power.
+    """Norm of a signal, in standard uncertainties, whose logarithm of the Bayes factor reaches a limit with a power.
 
-    Args:
-        values: (k,) eigenvalues of a candidate's inner products at half its largest plausible size.
-        along: that of the direction in which the signal lies.
-        needed: logarithm of the Bayes factor.
-        power: probability to reach it.
+    With the eigenvalues (k,) of a candidate's inner products at half its largest plausible size, and that `along` the
+    direction in which the signal lies.
     """
     largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
     s2 = _scales(largest, len(values)) ** 2
     cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(len(s2))
     share = s2 * along / (1.0 + s2 * along)
-
     if float(np.logaddexp.reduce(-cost)) >= needed:
         return 0.0
     limit = max(4.0 * (needed + float(cost.min()) + 10.0) / max(float(share.max()), 1e-3), 1.0)

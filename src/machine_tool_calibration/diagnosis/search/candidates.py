@@ -112,15 +112,7 @@ class Candidate:
 
 
 def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candidate], dict[str, str]]:
-    """Candidates of those effects that these readings could show, and why the others could not.
-
-    Args:
-        pool: the readings.
-        effects: the catalogue.
-
-    Returns:
-        Candidates, and for each other effect's id the reason.
-    """
+    """Candidates of those effects that these readings could show, and by its id why each of the others could not."""
     found, excluded, spare = [], {}, pool.fit.solution.degrees_of_freedom
     for effect in effects:
         reasons = [effect.why_not(o) for o in pool.observations]
@@ -151,17 +143,9 @@ def between_the_grid(
 ) -> list[Candidate] | None:
     """The candidates with what a fit says of their nonlinear coefficients, where the readings tell these that well.
 
-    A strong warm-up at a time constant that is a fifth wrong leaves what looks like a drift.
-
-    Args:
-        pool: the readings.
-        candidates: with the values of the grid.
-        used: of the grid's values those that explain the readings best, for effects in the fit that have such, none of
-            them discrete.
-        fit: with these effects.
-
-    Returns:
-        None where the grid's values are as good.
+    A strong warm-up at a time constant that is a fifth wrong leaves what looks like a drift. None where the grid's
+    values are as good; of these the `used` ones, none of them discrete, explain the readings best, for effects that are
+    in the fit.
     """
     place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
     out, finer = [], False
@@ -181,14 +165,7 @@ def between_the_grid(
 
 
 def to_some_percent(pool: Pool, candidate: Candidate, signal: Array, scale: float) -> Candidate:
-    """An effect whose law holds to its tolerance only.
-
-    Args:
-        pool: the readings.
-        candidate: the effect.
-        signal: (n,) what it changes in the readings, m.
-        scale: of its coefficients at which it does.
-    """
+    """An effect whose law holds to its tolerance only; its signal (n,), m, is that at a scale of its coefficients."""
     assert candidate.effect is not None
     law = law_tolerance(pool, signal, candidate.effect.tolerance)
     return replace(candidate, shapes=tuple(replace(s, law=law, law_unit=1.0 / scale) for s in candidate.shapes))

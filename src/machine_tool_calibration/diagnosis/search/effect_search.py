@@ -112,14 +112,9 @@ def search_effects(
 ) -> EffectSearch:
     """The posterior over everything that may be missing, and what is read off it.
 
-    Args:
-        pool: the readings of one or several sessions, with the model's fit.
-        candidates: effects that are not in the model.
-        structures: functions of the covariates.
-        side_by_side: whether many effects are expected at once.
-        exact_laws: whether laws are taken to hold exactly, for a first look.
-        present: effects that the model has already.
-        memory: readings that tell as much as one independent one, where it is known; looked for if absent.
+    Candidates are effects that are not in the model, `present` those that are; the structures are functions of the
+    covariates. Whether many are expected at once (`side_by_side`), and whether laws are taken to hold exactly, for a
+    first look. The noise's memory, readings that tell as much as one independent one, is looked for if absent.
     """
     columns = outside_the_model(pool, candidates, structures)
     only_left = memory is not None and not candidates  # of which one look is all

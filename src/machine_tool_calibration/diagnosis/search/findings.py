@@ -79,10 +79,9 @@ def in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def basis_of(inner: Array) -> Array:
-    """(k, r) combinations of columns that are orthonormal outside the model, without what the model absorbs.
+    """(k, r) combinations of columns, by their inner products (k, k) outside the model, that are orthonormal there.
 
-    Args:
-        inner: (k, k) inner products of the columns there.
+    What the model absorbs is in none.
     """
     squares = np.diag(inner)
     # A column with next to nothing left is not blown up.
@@ -123,14 +122,9 @@ def _largest(squares: Array) -> float:
 
 
 def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, found: Posterior) -> Finding:
-    """Fit a candidate to what the model leaves, in the marginal of what does not reproduce.
+    """Fit a candidate, by its number in the posterior, to what the model leaves beside what does not reproduce.
 
-    Args:
-        number: of the candidate in the posterior.
-        candidate: what it is.
-        pool: the readings.
-        plain: the marginal in which all runs and mountings reproduce.
-        found: the posterior.
+    In the `plain` marginal all runs and mountings reproduce.
     """
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
@@ -189,12 +183,8 @@ def alias_groups(
 
     Two are alike if they exchange probability (`Posterior.exchanges`), or if one reproduces at least 0.9 (cosine) of
     the other's signal outside the model, unless the readings distinguish them all the same, as they do where an effect
-    is large. What contains the first describes all that it does, and is no alternative to it for that.
-
-    Args:
-        findings: the most probable first.
-        found: the posterior.
-        index: number of each candidate in the posterior, by name.
+    is large. What contains the first describes all that it does, and is no alternative to it for that. The findings
+    begin with the most probable; `index` is the number of each candidate in the posterior, by name.
     """
     inner = found.marginal.gram.inner
     places = {f.name: f.place for f in findings if f.place is not None}
@@ -233,13 +223,8 @@ def without_laws(
     """Names of the effects, the surest first, without those by which another one differs from its law.
 
     What comes with the direction of approach is no other effect's smooth function of time. What takes most of what the
-    surer ones leave is named all the same.
-
-    Args:
-        effects: the surest first.
-        pool: the readings.
-        signals: (n,) what each changes, m.
-        squares_left: what some of them, by their numbers, leave of the readings' squares together.
+    surer ones leave is named all the same. Each has a signal (n,), m; some of them, by their numbers, leave so much of
+    the readings' squares together.
     """
 
     def of_law(k: int, j: int, most: float) -> bool:

@@ -20,12 +20,8 @@ _DEGREE = 4
 def law_tolerance(pool: Pool, signal: Array, tolerance: float) -> Array:
     """(j, n) by what an effect may differ from its law, m per standard deviation: of Z b (1 + delta) the Z b delta.
 
-    The relative deviation delta is smooth in time; where no time was recorded there is none.
-
-    Args:
-        pool: the readings.
-        signal: (n,) what the effect changes in the readings, m.
-        tolerance: root mean square of delta.
+    Z b is the signal (n,), m; the relative deviation delta, whose root mean square is the tolerance, is smooth in time:
+    where no time was recorded there is none.
     """
     functions = smooth_share(pool, signal)
     # The model may absorb most of an effect: what shows of the deviation is limited by what shows of the effect.

@@ -72,12 +72,9 @@ class Prediction:
 def predictions(
     sessions: Sequence[Session], search: EffectSearch, fit_of: Callable[[tuple[Session, ...]], JointFit]
 ) -> dict[str, tuple[Prediction, ...]]:
-    """Every accepted effect on setups, blocks of places and cycles that were left out.
+    """Every effect that a search in all readings accepted on setups, blocks of places and cycles that were left out.
 
-    Args:
-        sessions: the measurements.
-        search: at all of them.
-        fit_of: fits the model, without further effects, to parts of the sessions.
+    `fit_of` fits the model, without further effects, to parts of the sessions.
     """
     names = search.accepted[:_MOST_EFFECTS]
     if not names:

@@ -81,12 +81,9 @@ class _Outside:
         return {likeliest, (0.0,) * len(likeliest)}
 
     def explained(self, of: Callable[[float], Array], values: Array, piece: slice) -> list[Array]:
-        """(s,) sums of squares that (d, n) columns of a session explain, beside each of some sizes.
+        """(s,) sums of squares that columns (d, n) of a session's readings explain, beside each of some sizes.
 
-        Args:
-            of: the columns by a value, such as a period.
-            values: (s,) of these.
-            piece: where the session's readings are.
+        The columns are those `of` each of some values (s,), such as periods.
         """
         pool, d, ratios = self._pool, len(of(float(values[0]))), sorted(self._sizes)
         out = np.zeros((len(ratios), len(values)))
