@@ -185,4 +185,4 @@ def test_what_is_surer_is_asked_more_of() -> None:
     assert priors.RARE_SIZE == priors.SCALE_STEP * priors.SCALE_STEP  # two of the steps between plausible sizes
     assert priors.STRUCTURE < priors.EFFECT < priors.ALL_REPRODUCES
     assert priors.ALIKE < priors.THE_SAME and priors.SUSPECTED < priors.SUSPECTED_BESIDE < priors.WIDTH
-    assert priors.AGREEING <= priors.NEIGHBOURS and priors.HARDLY_DECLARED_DOF < priors.DECLARED_DOF
+    assert priors.AGREEING <= priors.NEIGHBOURS and priors.NOISE_DOF[1] < priors.NOISE_DOF[0]

@@ -10,14 +10,9 @@ import numpy as np
 
 # --- noise ---
 
-DECLARED_DOF = 20.0
+NOISE_DOF = (20.0, 2.0)
 """Prior degrees of freedom of the noise, of which the declared uncertainty is the size: a misfit of many readings
-outweighs it."""
-
-HARDLY_DECLARED_DOF = 2.0
-"""The same where the declared uncertainty need not hold at all; what is published weighs both."""
-
-NOISE_DOF = (DECLARED_DOF, HARDLY_DECLARED_DOF)
+outweighs it; and where the declared uncertainty need not hold at all. What is published weighs both."""
 
 CORRELATIONS = {0.0: 0.5} | dict.fromkeys(
     (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99), 0.5 / 15.0
