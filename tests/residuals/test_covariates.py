@@ -15,7 +15,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.step_diagonal.small_angles import NONE, mean_shape
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
-from machine_tool_calibration.residuals.pool import RANDOM, Pool
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.simulation import PRESETS, DirectPlan, SimulationSpec, simulate
 
 
@@ -95,7 +95,7 @@ def pool() -> Pool:
 
 def test_angular_errors_are_a_family_of_their_own(pool: Pool) -> None:
     columns, family, names = pool.spread
-    assert names[-1] == RANDOM
+    assert names[-1] == "random functions"
     model, random = pool.fit.assembly.models[0], pool.fit.random
     assert random is not None
     place = {p.name: k for k, p in enumerate(model.parameters[len(model.own) :])}
@@ -123,7 +123,7 @@ def test_random_functions_that_do_not_show_are_no_family() -> None:
     simulated = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3, noise=3e-4)).session
     columns, family, names = (pool := Pool(fit_sessions(simulated).joint)).spread
     assert pool.fit.random is not None
-    assert RANDOM not in names
+    assert "random functions" not in names
     assert set(family) == set(range(len(names)))
     assert pool.sizes == (priors.IMPERFECTION_SIZES,)
     assert len(columns) == len(family)

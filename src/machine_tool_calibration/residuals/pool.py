@@ -22,12 +22,6 @@ from machine_tool_calibration.residuals.averaged import own_of_places
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _LEAST_SIGNAL = 0.3
 
-RANDOM = "random functions"
-"""Name of the family of the model's own unknowns that are random functions."""
-
-LAWS = "laws"
-"""Name of the family by which effects in the model may differ from their laws."""
-
 
 @dataclass(frozen=True)
 class Pool:
@@ -114,36 +108,32 @@ class Pool:
                 mine = family.columns()
                 columns.append(self.only(mine * self.sigma[piece], piece))
                 place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
-        for further, name in ((self._imperfect, IMPERFECT), (self.laws, LAWS), (self._random, RANDOM)):
-            if further is not None:
-                columns.append(further)
-                place.append(np.full(len(further), len(names), dtype=np.int64))
-                names = (*names, name)
+        for further, name, _ in self._of_known_size:
+            columns.append(further)
+            place.append(np.full(len(further), len(names), dtype=np.int64))
+            names = (*names, name)
         return np.concatenate(columns), np.concatenate(place), names
 
     @cached_property
-    def _imperfect(self) -> Array | None:
-        """(k, n) columns of what every model lacks a little; None without any."""
-        pairs = zip(self.observations, self.pieces, strict=True)
-        columns = np.concatenate([self.only(imperfection(o) * self.sigma[piece], piece) for o, piece in pairs])
-        return columns if len(columns) else None
+    def _of_known_size(self) -> list[tuple[Array, str, dict[float, float]]]:
+        """(k, n) columns of functions of known sizes, what they are, and these with their probabilities beforehand.
 
-    @cached_property
-    def _random(self) -> Array | None:
-        """(k, n) columns of the model's unknowns that are random functions; None where none shows."""
-        random = self.fit.random
-        if random is None:
-            return None
-        shown = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
-        return shown if len(shown) else None
+        What every model lacks a little, what laws leave open, and unknowns of the model that are random functions.
+        """
+        pairs, random = zip(self.observations, self.pieces, strict=True), self.fit.random
+        imperfect = np.concatenate([self.only(imperfection(o) * self.sigma[piece], piece) for o, piece in pairs])
+        every = [(imperfect, IMPERFECT, priors.IMPERFECTION_SIZES)]
+        if self.laws is not None:
+            every.append((self.laws, "laws", priors.LAW_SIZES))
+        if random is not None:
+            shown = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
+            every.append((shown, "random functions", random.sizes))
+        return [(columns, name, sizes) for columns, name, sizes in every if len(columns)]
 
     @property
     def sizes(self) -> tuple[dict[float, float], ...]:
         """Sizes of functions of which they are known, with their probabilities before any reading, by family."""
-        imperfect = () if self._imperfect is None else (priors.IMPERFECTION_SIZES,)
-        random = () if self._random is None or self.fit.random is None else (self.fit.random.sizes,)
-        laws = () if self.laws is None else (priors.LAW_SIZES,)
-        return (*imperfect, *laws, *random)
+        return tuple(sizes for _, _, sizes in self._of_known_size)
 
     def _columns_of(self, names: Sequence[str]) -> Array:
         """(q, n) change of each reading per unit of unknowns of the model's terms."""
