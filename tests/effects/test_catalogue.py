@@ -177,7 +177,7 @@ def test_nonlinear_coefficients_against_finite_differences(name: str) -> None:
     shape = grid[len(grid) // 2]
     size = np.resize([2e-6, -1e-6], len(effect.coefficients_for(observations, shape)))
     slope = effect_term(effect, observations, shape, size).columns[-1]
-    step = 10.0 * effect.shapes_for(observations)[0].step * shape[0]
+    step = 10.0 * effect.shapes[0].step * shape[0]
     ahead, behind = (size @ effect.columns(observations, (shape[0] + sign * step,)) for sign in (1, -1))
     np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), atol=2e-3 * np.abs(slope).max())
 

@@ -12,10 +12,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import Said
 
-# Readings of each direction where an axis moved the other way, too, from which it reversed.
-_BOTH_WAYS = 3
-ONE_SIDED = "no place was approached from both sides"
-
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -114,14 +110,10 @@ class Effect(ABC):
         """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""
         return self.coefficients
 
-    def shapes_for(self, observations: Observations) -> tuple[Shape, ...]:
-        """The nonlinear coefficients; effects whose units depend on what was recorded say here which."""
-        return self.shapes
-
     def meanings(self, observations: Observations) -> dict[str, str]:
         """What each coefficient is, by the name under which it is published."""
         linear = {c.name: c.meaning for c in self.coefficients_for(observations)}
-        named = linear | {s.name: s.meaning for s in self.shapes_for(observations)}
+        named = linear | {s.name: s.meaning for s in self.shapes}
         return {f"{self.id}.{name}": meaning for name, meaning in named.items()}
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
@@ -176,20 +168,6 @@ class AxisEffect(Effect):
 def stands_still(observations: Observations, axis: str) -> bool:
     """Whether all readings are at one position of an axis."""
     return bool(np.ptp(observations.readings.column(axis)) < SAME_POSITION)
-
-
-def is_one_sided(observations: Observations, axis: str) -> bool:
-    """Whether hardly a position of an axis lies where it moved the other way, too.
-
-    Then what one direction changes is what one part of the travel has of its own, and no reversal.
-    """
-    position, sense = observations.readings.column(axis), observations.readings.column(f"dir_{axis}")
-    up, down = position[sense > 0], position[sense < 0]
-    if not len(up) or not len(down):
-        return True
-    low, high = max(up.min(), down.min()) - SAME_POSITION, min(up.max(), down.max()) + SAME_POSITION
-    shared = min(int(np.sum((own >= low) & (own <= high))) for own in (up, down))
-    return shared < min(_BOTH_WAYS, len(up), len(down))
 
 
 def axis_unit(axis: str) -> Array:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,25 +16,8 @@ from machine_tool_calibration.model.observations import Observations, together
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-
-def displacement_field(
-    effect: Effect, observations: Observations, evaluate: Callable[[Observations], Array]
-) -> Array | None:
-    """(k, n, 3) displacement of the functional point per unit of each of an effect's unknowns.
-
-    Found by looking at the same readings along each axis (`evaluate` gives the columns); None for an effect on the
-    reading itself, and for methods whose map holds no effects.
-    """
-    if effect.kind != "position" or not spec_of(observations.session).reads_machine:
-        return None
-    looks = [replace(observations, direction=np.tile(np.eye(3)[j], (len(observations), 1))) for j in range(3)]
-    return np.stack([evaluate(look) for look in looks], axis=-1)
-
-
-# Share of a column's squared norm outside the model below which the model takes it up.
+# Share of a column's squared norm outside the model, and other effects, below which these take it up.
 ABSORBED = 1e-7
-# Share of a column's squared norm outside model and other effects below which it repeats them.
-_REPEATED = 1e-7
 # Smallest share of the squared norm that the model leaves of any combination of an effect's columns that it tells.
 _LEAST_SHARE_LEFT = 1e-6
 # Squared norm of a column, over the largest of its effect, below which it is the computer's rounding.
@@ -61,7 +44,7 @@ def effect_term(
         _coefficient(effect, c, 0.0, not effect.of_session) for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
-        for j, coefficient in enumerate(effect.shapes_for(observations)):
+        for j, coefficient in enumerate(effect.shapes):
             if coefficient.discrete:
                 continue
             step = coefficient.step * shape[j]
@@ -72,8 +55,11 @@ def effect_term(
             columns = np.concatenate([columns, (size @ slope)[None]])
             parameters.append(_coefficient(effect, coefficient, shape[j], True))
     field = None
-    if mapped:
-        field = displacement_field(effect, observations, lambda o: effect_term(effect, o, shape, size, False).columns)
+    if mapped and effect.kind == "position" and spec_of(observations.session).reads_machine:
+        # By the same readings along each axis.
+        looks = [replace(observations, direction=np.tile(np.eye(3)[j], (len(observations), 1))) for j in range(3)]
+        along = [effect_term(effect, look, shape, size, mapped=False).columns for look in looks]
+        field = np.stack(along, axis=-1)
     return Term(effect.id, tuple(parameters), columns, field)
 
 
@@ -243,7 +229,7 @@ def _repeats(inner: Array, column: int, taken: Sequence[int]) -> bool:
         return False
     pick = list(taken)
     weights = np.linalg.lstsq(inner[np.ix_(pick, pick)], inner[pick, column], rcond=1e-9)[0]
-    return bool(inner[column, column] - inner[pick, column] @ weights < _REPEATED)
+    return bool(inner[column, column] - inner[pick, column] @ weights < ABSORBED)
 
 
 def refuse_idle(effects: Sequence[Effect], observations: Observations) -> None:
@@ -286,16 +272,16 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
         shapes |= {e.id: (within_grid(shapes[e.id][0], grids[e.id]), None) for e in loose}
         held = [effect_term(effect, observations, *shapes[effect.id]) for effect in curved]
-        left = tuple(one for effect in loose for one in held_at(effect, observations, shapes[effect.id][0]))
+        left = tuple(one for effect in loose for one in held_at(effect, shapes[effect.id][0]))
         full = replace(base, left_out=base.left_out + left).with_terms(held)
     return full.reestimated()
 
 
-def held_at(effect: Effect, observations: Observations, shape: tuple[float, ...]) -> tuple[NotDetermined, ...]:
+def held_at(effect: Effect, shape: tuple[float, ...]) -> tuple[NotDetermined, ...]:
     """Nonlinear coefficients of an effect that are held, and at what."""
     return tuple(
         NotDetermined(f"{effect.id}.{c.name}", say("undetermined.held_at", value=f"{value:.3g} {c.unit}"), effect.id)
-        for c, value in zip(effect.shapes_for(observations), shape, strict=True)
+        for c, value in zip(effect.shapes, shape, strict=True)
         if not c.discrete
     )
 

@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
-from machine_tool_calibration.effects.effect import ONE_SIDED, AxisEffect, Coefficient, Shape, axis_unit, is_one_sided
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape, axis_unit
 from machine_tool_calibration.machine.error_motions import interpolation
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
@@ -31,6 +31,8 @@ _PEAKS, _TRIED, _NUMBERS = 3, 16, 1 << 24
 _MANY_LEADS = 20
 # Share of a step by which positions may be off a grid, on which a wave of a shorter lead looks like one of a longer.
 _ON_GRID = 0.05
+# Readings of each direction where an axis moved the other way, too, from which it reversed.
+_BOTH_WAYS = 3
 
 
 class PitchPeriodic(AxisEffect):
@@ -161,7 +163,10 @@ class ReversalPeriodic(PitchPeriodic):
 
     def why_not(self, observations: Observations) -> str | None:
         """Beside a wave of the map in each part of the travel."""
-        return super().why_not(observations) or (ONE_SIDED if is_one_sided(observations, self.axis) else None)
+        why = super().why_not(observations)
+        if why is None and _is_one_sided(observations, self.axis):
+            return "no place was approached from both sides"
+        return why
 
     def sign(self, observations: Observations) -> Array:
         """The direction of approach."""
@@ -184,6 +189,20 @@ class StraightnessPeriodic(PitchPeriodic):
     def along(self, observations: Observations) -> Array:
         """(n,) the part of the direction of the error, across the axis, that each reading senses."""
         return np.asarray(observations.direction @ axis_unit(self.name[1].lower()))
+
+
+def _is_one_sided(observations: Observations, axis: str) -> bool:
+    """Whether hardly a position of an axis lies where it moved the other way, too.
+
+    Then what one direction changes is what one part of the travel has of its own, and no reversal.
+    """
+    position, sense = observations.readings.column(axis), observations.readings.column(f"dir_{axis}")
+    up, down = position[sense > 0], position[sense < 0]
+    if not len(up) or not len(down):
+        return True
+    low, high = max(up.min(), down.min()) - SAME_POSITION, min(up.max(), down.max()) + SAME_POSITION
+    shared = min(int(np.sum((own >= low) & (own <= high))) for own in (up, down))
+    return shared < min(_BOTH_WAYS, len(up), len(down))
 
 
 @lru_cache(maxsize=32)  # asked for again with every frequency

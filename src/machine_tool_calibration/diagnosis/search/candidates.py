@@ -52,7 +52,6 @@ class Candidate:
     name: str  # an effect's id, or the name of a structure
     shapes: tuple[ShapedColumns, ...]  # one for each set of nonlinear coefficients that is tried
     effect: Effect | None = None  # the effect; None for a structure without a cause
-    nonlinear: tuple[Shape, ...] = ()  # its nonlinear coefficients
     # number of sets of nonlinear coefficients over which the prior is spread at least: more than are tried where the
     # others were ruled out beforehand
     equally: int = 0
@@ -63,6 +62,11 @@ class Candidate:
     def of_structure(cls, covariate: str, how: Said, shapes: tuple[ShapedColumns, ...], equally: int = 0) -> Candidate:
         """One without a cause."""
         return cls(f"{covariate}: {how}", shapes, equally=equally, dependence=(covariate, how))
+
+    @property
+    def nonlinear(self) -> tuple[Shape, ...]:
+        """Its nonlinear coefficients."""
+        return () if self.effect is None else self.effect.shapes
 
     @property
     def contains(self) -> tuple[str, ...]:
@@ -121,7 +125,7 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
         showing = [s for s in shaped if _acts(pool, s)]
         checked = tuple(s for s in showing if len(s.columns) < spare)
         if checked:
-            found.append(Candidate(effect.id, checked, effect, effect.shapes_for(acting[0])))
+            found.append(Candidate(effect.id, checked, effect))
         elif showing:
             excluded[effect.id] = "too few readings: it would leave none that check it"
         else:
@@ -131,11 +135,8 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
 
 def in_the_model(pool: Pool, effects: Sequence[Effect]) -> list[Candidate]:
     """Effects that the model has already, of which nothing is tried."""
-    out = []
-    for effect in effects:
-        acting = [o for o in pool.observations if effect.why_not(o) is None]
-        out += [Candidate(effect.id, (), effect, effect.shapes_for(acting[0]))] if acting else []
-    return out
+    acting = (e for e in effects if any(e.why_not(o) is None for o in pool.observations))
+    return [Candidate(effect.id, (), effect) for effect in acting]
 
 
 def between_the_grid(

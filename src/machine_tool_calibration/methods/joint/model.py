@@ -322,5 +322,5 @@ def _with_curved(models: list[MethodModel], labels: Sequence[str], effect: Effec
     if not unbounded(fit_models(moving, labels), effect):
         return moving
     shape = within_grid(shape, grid)
-    held = held_at(effect, models[0].observations, shape)
+    held = held_at(effect, shape)
     return [replace(own, left_out=(*own.left_out, *held)) for own in _extended(models, effect, shape)]
