@@ -23,7 +23,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions, gr
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
+from machine_tool_calibration.residuals.covariates import LEAST_SENSITIVITY, bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.sums import residual_sums
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 # Readings that the model leaves of a part below which its scatter cannot be judged.
 _LEAST_LEFT = 0.5
-# Half the change of a reading per displacement of an axis, m/m (C: m/rad), from which the axis counts as sensed.
-_LEAST_SENSITIVITY = 5e-7
 # Products of readings and values of a label beyond which these are not distinguished.
 _MOST_COMPARED = 2e7
 _POSITIONS = ("x", "y", "z", "a", "b", "c")
@@ -363,7 +361,7 @@ def _approaches(fit: Fit) -> pd.DataFrame:
         forward, backward = int((sign > 0).sum()), int((sign < 0).sum())
         if forward and backward:
             along = sign * sensed(fit.model.observations, axis) / 2
-            found.append((axis, forward, backward, bool(np.abs(along).max() > _LEAST_SENSITIVITY)))
+            found.append((axis, forward, backward, bool(np.abs(along).max() > LEAST_SENSITIVITY / 2)))
             weights += [np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0)), along]
     out = pd.DataFrame(found, columns=["axis", "forward", "backward", "seen"])
     sums, seen = residual_sums(fit, np.reshape(weights, (-1, len(readings)))), out.pop("seen").astype(bool)

@@ -10,11 +10,6 @@ POINTED_INSTRUMENTS = ("tracking_interferometer", "laser_tracker")
 POINTED_METHODS = ("tracking_interferometer", "rotary_axis")
 
 
-def azimuth(direction: Array) -> Array:
-    """(n,) of directions (n, 3) in the machine frame, rad."""
-    return np.asarray(np.arctan2(direction[:, 1], direction[:, 0]))
-
-
 def cosine_of_elevation(observations: Observations) -> Array:
     """(n,) cosine of the beam's elevation."""
     return np.asarray(np.hypot(observations.direction[:, 0], observations.direction[:, 1]))

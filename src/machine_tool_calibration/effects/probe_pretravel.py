@@ -3,8 +3,7 @@
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.families import HarmonicEffect
-from machine_tool_calibration.effects.pointed_beam import azimuth
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, azimuth
 from machine_tool_calibration.words import say
 
 

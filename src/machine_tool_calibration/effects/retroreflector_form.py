@@ -6,8 +6,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import table_axis
 from machine_tool_calibration.effects.families import HarmonicEffect
-from machine_tool_calibration.effects.pointed_beam import POINTED_INSTRUMENTS, POINTED_METHODS, azimuth
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.effects.pointed_beam import POINTED_INSTRUMENTS, POINTED_METHODS
+from machine_tool_calibration.model.observations import Observations, azimuth
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 

@@ -13,7 +13,7 @@ from scipy.special import softmax
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, azimuth
 from machine_tool_calibration.session.catalogue import spec_of
 
 IMPERFECT = "imperfection"
@@ -52,9 +52,9 @@ def _angles(observations: Observations) -> list[Array]:
     angles = [columns[axis] for axis in "abc" if axis in columns]
     spec = spec_of(observations.session)
     if spec.beam_from_pointer:
-        angles.append(np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
+        angles.append(azimuth(observations.direction))
     if spec.probes_surface:
-        angles.append(np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0]))
+        angles.append(azimuth(observations.table_direction))
     return [angle for angle in angles if np.ptp(angle) > 0]
 
 

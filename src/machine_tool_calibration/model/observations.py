@@ -20,6 +20,8 @@ ACROSS = 0.1
 # tables of a tracking interferometer beside a polynomial were ten times as uncertain as with all of it; with this
 # share, 1 %.
 _COVERED_SHARE = 0.8
+SAME_DIRECTION = 1e-6
+"""Range of a direction's component below which it is the same for all readings, and its size if it is not sensed."""
 SAME_POSITION = 1e-6
 """Positions of an axis that differ by less are one: it has not moved, m."""
 
@@ -115,6 +117,11 @@ class Observations:
         return np.asarray(np.ptp(self.position, axis=0) > SAME_POSITION) if len(self) else np.zeros(3, dtype=bool)
 
     @property
+    def read_along(self) -> Array:
+        """(d, n) components of the sensed direction along each axis along which something was read."""
+        return np.asarray(self.direction.T[np.abs(self.direction).max(axis=0, initial=0.0) > SAME_DIRECTION])
+
+    @property
     def moves(self) -> bool:
         """Whether more than one position was read."""
         return bool(self.moved.any())
@@ -135,6 +142,11 @@ class Observations:
     def sense(self, field: Array) -> Array:
         """(k, n) change of the readings by a displacement (k, n, 3) of the functional point per unit of k unknowns."""
         return np.asarray(np.einsum("knj,nj->kn", field, self.direction))
+
+
+def azimuth(direction: Array) -> Array:
+    """(n,) of directions (n, 3) in the machine frame, rad."""
+    return np.asarray(np.arctan2(direction[:, 1], direction[:, 0]))
 
 
 def neighbours_of(observed: Sequence[Observations]) -> IntArray:

@@ -24,7 +24,7 @@ from machine_tool_calibration.arrays import (
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.imperfection import scaled_values
-from machine_tool_calibration.model.observations import SAME_POSITION, Observations
+from machine_tool_calibration.model.observations import SAME_DIRECTION, SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
 DRIFT = "drift"
@@ -41,8 +41,6 @@ _ROUNDING = 1e-9
 _MOST_GROUPS, _MOST_FUNCTIONS = 200, 300
 # Sine of an angle, below which a circle has not gone on.
 _TURNS = 1e-6
-# Component of a direction from which it is sensed.
-_SENSED = 1e-6
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
 
@@ -55,11 +53,6 @@ class Family:
     group: IntArray  # (n,) index of the group of each reading, from 0
     shapes: Array  # (d, n) values of the group's d functions, of a size of about 1
     offsets_of_each: int = 1  # how many of a group's functions, the first, are offsets
-
-    @property
-    def of_runs(self) -> bool:
-        """Whether it is of runs, mountings or passes: of the measurement, and not a pattern of part or machine."""
-        return not self.name.startswith("rows") and self.name != CURVES
 
     @property
     def count(self) -> int:
@@ -133,8 +126,17 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     the rows and columns of a grid of holes that were drilled one after the other; of circles runs and their centres.
     Where several sessions are fitted together, also what the machine does between the nodes of their tables.
     """
-    if spec_of(observations.session).reads_machine:
-        return (*(family for family in _of_direct(observations) if family.shapes.any()), *_curves(observations))
+    return (*_of_session(observations), *_curves(observations))
+
+
+def _of_session(observations: Observations) -> tuple[Family, ...]:
+    direct = spec_of(observations.session).reads_machine
+    every = _of_direct(observations) if direct else _of_runs(observations)
+    return tuple(family for family in every if family.shapes.any())
+
+
+def _of_runs(observations: Observations) -> Iterator[Family]:
+    """Runs, and mountings where these are others."""
     clock, readings = observations.clock, observations.readings
     # Readings are in the order of time, in whatever order they are given.
     order = np.argsort(clock, kind="stable")
@@ -144,11 +146,10 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     run = in_order_of_appearance(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)
     mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]
-    families = [_family(observations, "run", run)]
+    yield _family(observations, "run", run)
     mounting = in_order_of_appearance(mounting)
     if not np.array_equal(run, mounting):
-        families.append(_family(observations, "mounting", mounting))
-    return (*(family for family in families if family.shapes.any()), *_curves(observations))
+        yield _family(observations, "mounting", mounting)
 
 
 def _curves(observations: Observations) -> tuple[Family, ...]:
@@ -164,7 +165,7 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
     functions, which move the map. Few do not tell the one from the other. Where the machine's deviations are read
     themselves, a drift is the machine's own.
     """
-    families = tuple(family for family in reproducibility(observations) if family.of_runs)
+    families = tuple(family for family in _of_session(observations) if not family.name.startswith("rows"))
     return (*families, *_drift(observations, families), *_curves(observations))
 
 
@@ -266,10 +267,10 @@ def _moved_aside(observations: Observations, family: Family) -> Family:
     """The same along each direction that a run senses: a plate that slips or warms moves along x and along y."""
     if spec_of(observations.session).centred:
         return family
-    along = np.array([d for d in observations.direction.T if np.abs(d).max(initial=0.0) > _SENSED])
+    along = observations.read_along
     sensed = np.zeros((int(family.group.max(initial=0)) + 1, len(along)))
     np.maximum.at(sensed, family.group, np.abs(along.T))
-    if (np.sum(sensed > _SENSED, axis=1) < 2).all():
+    if (np.sum(sensed > SAME_DIRECTION, axis=1) < 2).all():
         return family
     shapes = (family.shapes[:, None] * along).reshape(-1, len(observations))
     return replace(family, shapes=shapes, offsets_of_each=len(along) * family.offsets_of_each)

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, azimuth
 from machine_tool_calibration.session.catalogue import spec_of
 
-_LEAST_SENSITIVITY = 1e-6  # m/m (C: m/rad)
+LEAST_SENSITIVITY = 1e-6  # change of a reading per displacement of an axis that is sensed, m/m (C: m/rad)
 _BINS = 8
 
 
@@ -27,14 +27,14 @@ def covariates(observations: Observations) -> dict[str, Array]:
     if np.ptp(observations.path) > 0:
         out["path"] = observations.path
     if spec_of(observations.session).beam_from_pointer:
-        out.setdefault("azimuth", np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
+        out.setdefault("azimuth", azimuth(observations.direction))
         out.setdefault("elevation", np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0)))
     if spec_of(observations.session).probes_surface:
-        out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
+        out["normal"] = azimuth(observations.table_direction)
     for axis in "xyzabc":
         approach = readings.columns.get(f"dir_{axis}")
         along = sensed(observations, axis)
-        if approach is not None and np.ptp(along) > _LEAST_SENSITIVITY:
+        if approach is not None and np.ptp(along) > LEAST_SENSITIVITY:
             out[f"dir_{axis} along {axis}"] = approach * along
     return {name: values for name, values in out.items() if _varies(values)}
 

@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import Array, IntArray, peaks
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE
 from machine_tool_calibration.effects.effect import axis_direction, table_axis
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_DIRECTION, Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Said, named, say
 
@@ -36,8 +36,6 @@ _MOST_TARGETS = 12
 
 ENOUGH = 40
 """Fewer readings than this show neither a step nor a wave."""
-SAME_DIRECTION = 1e-6
-"""Range of a direction's component below which it is the same for all readings."""
 Explained = Callable[[Callable[[float], Array], Array], list[Array]]
 """Sums of squares that columns by a value explain, for each of some values, in one or more ways."""
 

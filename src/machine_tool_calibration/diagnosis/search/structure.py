@@ -10,13 +10,13 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, means_of, occurrence, within
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
-from machine_tool_calibration.diagnosis.search.events import ENOUGH, SAME_DIRECTION, Explained, events
+from machine_tool_calibration.diagnosis.search.events import ENOUGH, Explained, events
 from machine_tool_calibration.diagnosis.search.evidence import gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 from machine_tool_calibration.model.imperfection import scaled_values
-from machine_tool_calibration.model.observations import SAME_POSITION, Observations
+from machine_tool_calibration.model.observations import SAME_DIRECTION, SAME_POSITION, Observations
 from machine_tool_calibration.residuals.covariates import covariates
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -160,16 +160,11 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
                     yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
 
 
-def _read_along(observations: Observations) -> list[Array]:
-    """(n,) components of the sensed direction along each axis along which something was read."""
-    return [d for d in observations.direction.T if np.abs(d).max() > SAME_DIRECTION]
-
-
 def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     """Targets, tools or operators that differ, where a column names them."""
     if not spec_of(observations.session).reads_machine:
         return
-    directions = _read_along(observations)
+    directions = observations.read_along
     for name, texts in observations.readings.labels.items():
         each = np.unique(texts)
         if 2 <= len(each) <= _MOST_SETUPS:
@@ -197,7 +192,7 @@ def _slopes(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
         return
     setup, run = observations.readings.setup, observations.readings.repeat_of_setup
     each = {"setup": setup, "repeat": run} if run.max(initial=0) > setup.max(initial=0) else {"setup": setup}
-    directions = _read_along(observations)
+    directions = observations.read_along
     for name, group in each.items():
         own = _each(group)
         for shape, k in (("slopes", 0), ("bends", 1)):
@@ -211,7 +206,7 @@ def _zones(observations: Observations, explained: Explained) -> Iterator[Candida
     """Zones that are displaced: beyond a line across an axis, and beyond such lines across two (a tile, a joint)."""
     if not spec_of(observations.session).reads_machine:
         return
-    along = np.array(_read_along(observations))
+    along = observations.read_along
     for (a, i), (b, j) in combinations(((axis, "xyz".index(axis)) for axis in _positions(observations)), 2):
         u, v = observations.position[:, i], observations.position[:, j]
         corners = list(product(_lines(u), _lines(v)))
