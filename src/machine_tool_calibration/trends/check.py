@@ -105,8 +105,9 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
             "could be brought to its datum: give its session, or the machine's logbook"
         )
     between = between_sessions(history)
-    found = [_part(earlier, now, name, between.get(name, _NONE)) for name in earlier.parts if name in now.parts]
-    changes = [one for one in (*found, _position(earlier, now, between.get(POSITION_ERROR, _NONE))) if one is not None]
+    found = [_part(earlier, now, name, between.get(name, Spread())) for name in earlier.parts if name in now.parts]
+    found.append(_position(earlier, now, between.get(POSITION_ERROR, Spread())))
+    changes = [one for one in found if one is not None]
     if not changes:
         raise CalibrationError(f"{earlier.label} and {now.label} have no error in common that both determine")
     order = np.argsort([one.p_value for one in changes], kind="stable")
@@ -134,9 +135,6 @@ class Spread:
     # (d, v) all values of the error, in courses that together have the covariance of a change between two sessions:
     # a slope or a bow that changes from one to the next is no scatter of values that are independent
     courses: Array = field(default_factory=lambda: np.zeros((0, 1)))
-
-
-_NONE = Spread()
 
 
 def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
