@@ -94,11 +94,11 @@ class Entry(Record):
     def request(
         self, sessions: Sequence[Session], labels: Sequence[str], prints: Sequence[str], own: Sequence[Effect] = ()
     ) -> FitRequest:
-        """The model as it was fitted, of the readings that it was fitted to; a ModelError: an effect's definition.
+        """The model as it was fitted, of the readings that it was fitted to.
 
         What was set aside is left out of the sessions, which have all readings, fingerprints of them, and labels; what
         was put back is known to be sound, where they have it. The user's own effects at present take the place of the
-        model's of the same name.
+        model's of the same name. A ModelError: a definition of an effect cannot be.
         """
         # here and below, because the file is read without the calculation that the results need
         import numpy as np

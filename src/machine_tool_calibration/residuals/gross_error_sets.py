@@ -120,7 +120,7 @@ def _scale_and_tails(size: Array, redundancy: float) -> tuple[float, Array]:
 def predicted_by_others(products: Array, deviation: Array, weight: Array) -> tuple[Array, Array]:
     """A and b (above) of a few readings, from a fit in which they took part with weights from `HELD_OUT` to 1.
 
-    The predictions of these readings have the covariance `products` (k, k), from which they deviate by `deviation`.
+    `products` (k, k) is the covariance of the predictions of these readings, `deviation` (k,) how far they are off.
     """
     # With h the variance of a prediction without them, h / (1 + w h) is the one at hand. Of what they alone determine,
     # all of it is theirs.

@@ -53,7 +53,7 @@ def hat_values(part: Part, solution: Solution, index: int, weight: Array) -> Arr
 
     Below 1 for a reading that takes part with its full weight; anything for one that hardly takes part; 1 for readings
     of a point of which they do not fix all. The part, of this index in the problem that was solved, has no weights yet:
-    (n,) factors on the inverse of each reading's variance.
+    these are (n,) factors on the inverse of each reading's variance.
     """
     out = np.ones(part.n_readings)
     for group, chunk, seen in _seen(part, solution, index, weight):

@@ -18,8 +18,8 @@ class Neighbours:
     """Readings next to each other in time in a run, and those that repeat each other in other runs.
 
     What they share is a course of the run, or reproduces: no gross error, whatever the model lacks. Readings (k,) are
-    judged among the residuals (n,) of all, `noise` is the standard deviation of these, and the limit of a deviation
-    counts in standard deviations; what was read, m, stands beside the way of the axes up to each reading, m or rad.
+    judged among the residuals (n,) of all, `noise` is the standard deviation of these, and a limit counts in it, though
+    not that of `repeated`; what was read, m, stands beside the way of the axes up to each reading, m or rad.
     """
 
     def __init__(self, readings: Readings, direction: Array, of_machine: bool = False) -> None:
