@@ -289,7 +289,7 @@ def test_what_explains_less_than_its_special_case_is_not_itself() -> None:
     first = fit_sessions(request).joint
     pool = Pool(first)
     candidates, _ = effect_candidates(pool, find_effects(["thermal_expansion_x", "thermal_lag_x"]))
-    search = search_effects(Pool(first), candidates, [], side_by_side=True)
+    search = search_effects(Pool(first), candidates, [])
     found = _spurious(search, first, ("thermal_lag_x",), lambda ids: fit_sessions(request.adding(ids)))
     assert "thermal_expansion_x" in found["thermal_lag_x"]
     assert not _spurious(search, first, ("thermal_expansion_x",), lambda ids: fit_sessions(request.adding(ids)))
@@ -301,7 +301,7 @@ def test_a_size_that_may_be_zero_is_not_added() -> None:
     request = FitRequest.of(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=9)).session)
     first = fit_sessions(request).joint
     candidates, _ = effect_candidates(Pool(first), find_effects(["backlash_x"]))
-    search = search_effects(Pool(first), candidates, [], side_by_side=True)
+    search = search_effects(Pool(first), candidates, [])
     found = _spurious(search, first, ("backlash_x",), lambda ids: fit_sessions(request.adding(ids)))
     assert "does not stand out" in found["backlash_x"]
     # Where chance does not make it, repeats that leave room for it do not count.

@@ -229,13 +229,10 @@ def _without_suspects(chosen: FitRequest, progress: Progress) -> tuple[str, ...]
     sessions = tuple(session.without(np.isin(session.readings.row, rows)) for session, rows in each)
     progress("effects without what lies far out", 0.1)
     try:
-        searched, first, _ = _first_model(replace(chosen, sessions=sessions))
+        _, first, _ = _first_model(replace(chosen, sessions=sessions))
         pool = with_laws(first.joint, chosen.present)
-        candidates, structures = _candidates(chosen, first)[0], structure_candidates(pool)
-        side_by_side, present = _side_by_side(searched), in_the_model(pool, chosen.present)
-        return search_effects(
-            pool, candidates, structures, side_by_side=side_by_side, exact_laws=True, present=present
-        ).accepted
+        candidates, present = _candidates(chosen, first)[0], in_the_model(pool, chosen.present)
+        return search_effects(pool, candidates, structure_candidates(pool), exact_laws=True, present=present).accepted
     except ModelError:
         # What is left does not allow the model: then it says nothing of what is missing.
         return ()
@@ -290,11 +287,6 @@ def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress
     return replace(found, verdict=verdict, accepted=(), fitted=added.fitted[:1], noise=noise)
 
 
-def _side_by_side(chosen: FitRequest) -> bool:
-    """Whether many effects are expected at once: the machine itself is read."""
-    return all(spec_of(session).reads_machine for session in chosen.sessions)
-
-
 def _candidates(chosen: FitRequest, first: FittedSessions) -> tuple[list[Candidate], dict[str, str]]:
     """Effects that may be missing, and why each of the others is not looked for."""
     # Error motions that the model holds as random functions, under names of their own.
@@ -314,15 +306,14 @@ def _feasible(
     all did, nothing is looked for again. Also how its effects do on readings that were left out, and which were added.
     """
     pool = with_laws(first.joint, searched.present)
-    structures, side_by_side = structure_candidates(pool), _side_by_side(searched)
-    present = in_the_model(pool, searched.present)
+    structures, present = structure_candidates(pool), in_the_model(pool, searched.present)
 
     @cache
     def fit_with(ids: tuple[str, ...]) -> FittedSessions:
         return fit_sessions(searched.adding(ids))
 
     def look_for(tried: Sequence[Candidate], memory: float | None = None) -> EffectSearch:
-        return search_effects(pool, tried, structures, side_by_side=side_by_side, present=present, memory=memory)
+        return search_effects(pool, tried, structures, present=present, memory=memory)
 
     gone, refused, predicted = list[Finding](), dict[str, str](), dict[str, tuple[Prediction, ...]]()
     possible = {candidate.name for candidate in candidates}
@@ -415,8 +406,7 @@ def _left(found: Diagnosis) -> tuple[Structure, ...]:
     if not found.accepted:
         return found.search.structure
     pool = with_laws(found.fits[-1], found.searched.adding(found.accepted).present)
-    structures, side_by_side = structure_candidates(pool), _side_by_side(found.searched)
-    return search_effects(pool, [], structures, side_by_side=side_by_side, memory=found.search.memory).structure
+    return search_effects(pool, [], structure_candidates(pool), memory=found.search.memory).structure
 
 
 @single_blas()
@@ -431,7 +421,7 @@ def _good_enough(found: Diagnosis) -> bool:
     for name, signal in found.search.signals.items():
         left -= signal if name not in found.accepted else 0.0
     size = rms(left / pool.sigma)
-    if not priors.SMALL < size <= 1.0 or _side_by_side(found.searched):
+    if not priors.SMALL < size <= 1.0 or pool.side_by_side:
         return size <= priors.SMALL
     without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
     moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)

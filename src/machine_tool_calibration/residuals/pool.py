@@ -18,6 +18,7 @@ from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations, neighbours_of
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.residuals.averaged import own_of_places
+from machine_tool_calibration.session.catalogue import spec_of
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _LEAST_SIGNAL = 0.3
@@ -44,6 +45,11 @@ class Pool:
 
     def __len__(self) -> int:
         return sum(len(o) for o in self.observations)
+
+    @property
+    def side_by_side(self) -> bool:
+        """Whether many effects are expected at once: the machine itself is read."""
+        return all(spec_of(o.session).reads_machine for o in self.observations)
 
     @cached_property
     def sigma(self) -> Array:

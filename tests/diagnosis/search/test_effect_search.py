@@ -44,7 +44,7 @@ def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ())
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
     smooth = say("shape.smooth")
     made = [Candidate(name, (ShapedColumns((), columns),), dependence=(name, smooth)) for name, columns in structures]
-    return search_effects(Pool(fit), candidates, made, side_by_side=False)
+    return search_effects(Pool(fit), candidates, made)
 
 
 def columns_of(effect: str) -> np.ndarray:

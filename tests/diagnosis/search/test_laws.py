@@ -34,13 +34,13 @@ def test_the_second_time_constant_of_a_warm_up_is_no_drift(slow: float) -> None:
     fit = fit_sessions(request).joint
     exact, open_ = Pool(fit), with_laws(fit, request.present)
     candidates, _ = effect_candidates(exact, find_effects(["linear_drift"]))
-    assert search_effects(exact, candidates, [], side_by_side=True).accepted == ("linear_drift",)
-    found = search_effects(open_, candidates, [], side_by_side=True)
+    assert search_effects(exact, candidates, []).accepted == ("linear_drift",)
+    found = search_effects(open_, candidates, [])
     assert not found.accepted and found.of("linear_drift").probability < 0.1
     assert "laws" in found.spread
     # Nor where the laws are taken to hold exactly: it is smooth in time as the warm-up is, and smaller.
     present = in_the_model(exact, request.present)
-    assert not search_effects(exact, candidates, [], side_by_side=True, present=present).accepted
+    assert not search_effects(exact, candidates, [], present=present).accepted
 
 
 def test_geometry_holds_exactly() -> None:

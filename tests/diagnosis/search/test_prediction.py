@@ -39,7 +39,7 @@ def with_effect(only_in: int | None) -> Session:
 def predicted(session: Session) -> tuple[Prediction, ...]:
     fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
-    look: EffectSearch = search_effects(Pool(fit), candidates, [], side_by_side=False)
+    look: EffectSearch = search_effects(Pool(fit), candidates, [])
     # Every reading has a noise of its own; without any structure to be tried what setups differ by passes for memory.
     return predictions([session], replace(look, accepted=(EFFECT,), memory=1.0), fit_of)[EFFECT]
 
@@ -80,7 +80,7 @@ def test_an_effect_that_its_predictions_speak_against_is_refused_although_it_is_
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
     fit = fit_of([session])
-    look = search_effects(Pool(fit), effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], side_by_side=False)
+    look = search_effects(Pool(fit), effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [])
     assert predictions([session], look, fit_of) == {}
 
 
@@ -146,7 +146,7 @@ def test_parts_without_which_there_is_no_model_are_counted_and_one_prediction_sa
     session = with_effect(None)
     fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
-    look = replace(search_effects(Pool(fit), candidates, [], side_by_side=False), accepted=(EFFECT,))
+    look = replace(search_effects(Pool(fit), candidates, []), accepted=(EFFECT,))
 
     def found(*needed: int) -> dict[str, Prediction]:
         def fitted(left: Sequence[Session]) -> JointFit:

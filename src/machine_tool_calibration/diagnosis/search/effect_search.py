@@ -105,7 +105,6 @@ def search_effects(
     candidates: Sequence[Candidate],
     structures: Sequence[Candidate],
     *,
-    side_by_side: bool,
     exact_laws: bool = False,
     present: Sequence[Candidate] = (),
     memory: float | None = None,
@@ -113,32 +112,30 @@ def search_effects(
     """The posterior over everything that may be missing, and what is read off it.
 
     Candidates are effects that are not in the model, `present` those that are; the structures are functions of the
-    covariates. Whether many are expected at once (`side_by_side`), and whether laws are taken to hold exactly, for a
-    first look. The noise's memory, readings that tell as much as one independent one, is looked for if absent.
+    covariates. Laws are taken to hold exactly for a first look. The noise's memory, readings that tell as much as one
+    independent one, is looked for if absent.
     """
     columns = outside_the_model(pool, candidates, structures)
     only_left = memory is not None and not candidates  # of which one look is all
     if memory is None:
-        memory, found = _with_memory(columns, side_by_side)
+        memory, found = _with_memory(columns)
     else:
-        found = _searched(columns, side_by_side, memory, at_first=not only_left)
+        found = _searched(columns, memory, at_first=not only_left)
     # What may be in is looked at again with laws that hold to some percent.
     if not (exact_laws or only_left):
         tried = _to_some_percent(columns, found)
         columns = outside_the_model(pool, tried, structures) if tried else columns
-        found = _searched(columns, side_by_side, memory)
-    return _read_off(columns, found, memory, side_by_side, present)
+        found = _searched(columns, memory)
+    return _read_off(columns, found, memory, present)
 
 
-def _read_off(
-    columns: Columns, found: Posterior, memory: float, side_by_side: bool, present: Sequence[Candidate]
-) -> EffectSearch:
+def _read_off(columns: Columns, found: Posterior, memory: float, present: Sequence[Candidate]) -> EffectSearch:
     """What a posterior says of every effect, of what has no cause, and of what is to be added to the model."""
     pool, fit = columns.pool, columns.pool.fit
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
-    further = priors.ACCEPTED if side_by_side else priors.FURTHER
+    further = priors.ACCEPTED if pool.side_by_side else priors.FURTHER
     # What laws leave that do not hold exactly looks like a further effect, in the model or not.
     among_others = any(parameter.kind is Kind.EFFECT for parameter in fit.assembly.parameters)
     limits = (further if among_others else priors.ACCEPTED, further)
@@ -178,7 +175,7 @@ def _to_some_percent(columns: Columns, found: Posterior) -> list[Candidate]:
     return out if changed else []
 
 
-def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior]:
+def _with_memory(columns: Columns) -> tuple[float, Posterior]:
     """Readings that tell as much as one independent one, and the first look by that.
 
     A missing effect makes residuals of neighbours alike, and so does noise with a memory, which would in turn be taken
@@ -188,7 +185,7 @@ def _with_memory(columns: Columns, side_by_side: bool) -> tuple[float, Posterior
     then = [pool.memory(pool.residuals_beside(np.zeros(len(pool)))).readings_per_independent]
     while then and len(tried) < _MEMORIES:
         k = then[0]
-        found = _searched(columns, side_by_side, k, at_first=True)
+        found = _searched(columns, k, at_first=True)
         beside = pool.memory(pool.residuals_beside(_change(columns, found)))
         least = found.marginal_with(found.best)
         cost = least.gram.log_likelihood(least.squares) - logsumexp(list(found.log_weights.values()))
@@ -211,7 +208,7 @@ def _change(columns: Columns, found: Posterior) -> Array:
     return np.asarray((scale * np.linalg.solve(inner, scale * marginal.gram.data[place])) @ np.concatenate(every))
 
 
-def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: bool = False) -> Posterior:
+def _searched(columns: Columns, memory: float, *, at_first: bool = False) -> Posterior:
     effects = [k for k in columns.seen if k < columns.effects]
     prior = np.zeros(len(columns.candidates))
     prior[columns.seen] = priors.STRUCTURE
@@ -221,7 +218,7 @@ def _searched(columns: Columns, side_by_side: bool, memory: float, *, at_first: 
         columns.gram.with_memory(memory),
         columns.blocks,
         logit(prior),
-        side_by_side=side_by_side,
+        side_by_side=columns.pool.side_by_side,
         pairs_among=effects,
         special_cases=special_cases(columns),
         at_first=at_first,
