@@ -3,6 +3,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -56,6 +57,7 @@ def add_probable(
     What has no size of its own before the others are added is tried once more beside them, where less is left; what has
     none beside them was another effect, and is in `spurious`.
     """
+    again = partial(add_probable, names, search, predicted, first, fit_with)
     fitted, accepted, refused, impossible = [first], list[str](), dict(spurious), dict[str, str]()
     order = [name for name in names if name not in (*spurious, *deferred)] + [n for n in deferred if n not in spurious]
     for name in order:
@@ -76,10 +78,8 @@ def add_probable(
             if late:
                 (one,) = late
                 if one in deferred or name == order[-1]:
-                    spurious = {**spurious, **late}
-                else:
-                    deferred = (*deferred, one)
-                return add_probable(names, search, predicted, first, fit_with, spurious, deferred)
+                    return again({**spurious, **late}, deferred)
+                return again(spurious, (*deferred, one))
             if nothing := _changes_nothing(fitted[-1].joint, wider.joint, name, search.memory):
                 refused[name] = nothing
                 continue
@@ -90,8 +90,7 @@ def add_probable(
     unsized = [name for name in unsure if not _sized(fitted[-1].joint, name, memory=True)]
     if unsized:
         one = _least_needed(unsized, accepted, fit_with)
-        spurious = {**spurious, one: _no_size(accepted)}
-        return add_probable(names, search, predicted, first, fit_with, spurious, deferred)
+        return again({**spurious, one: _no_size(accepted)}, deferred)
     return Added(tuple(accepted), tuple(fitted), refused, impossible)
 
 
