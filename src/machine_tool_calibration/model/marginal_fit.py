@@ -224,7 +224,10 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
     solution, m, wide, names = solved.solution, problem.size, wider.problem, wider.names
     place, u = wider.family, len(wider.family)
     total, squares = gram(wide, np.concatenate([solution.theta, np.zeros(u)]), solution.local)
-    root = _root(solved, total, squares)
+    if solved.random is None:
+        root = covariance_root(total, squares, solved.assembly.problem.constraints)
+    else:
+        root = root_of(solution.covariance)  # with what is expected of these unknowns, which is not in the matrix
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
     dof = solution.degrees_of_freedom
@@ -265,13 +268,6 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
         instead = (by * solved.alternatives.probability / scatter**2) @ by.T
     ratio = np.sqrt(known.weights @ tau**2)
     return _Marginal(mean, covariance, scatter, sizes, random, known.squares, ratio, estimator, instead)
-
-
-def _root(solved: Solved, total: Array, squares: Array) -> Array:
-    """Root of the covariance, with what is expected of random unknowns, which is not in the matrix."""
-    if solved.random is None:
-        return covariance_root(total, squares, solved.assembly.problem.constraints)
-    return root_of(solved.solution.covariance)
 
 
 def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:
