@@ -7,7 +7,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects import pointed_beam
 from machine_tool_calibration.effects.effect import Shape
 from machine_tool_calibration.effects.families import HarmonicEffect
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, azimuth
 from machine_tool_calibration.words import say
 
 # Difference of the cosine of the elevation up to which no reading tells whether it enters.
@@ -37,7 +37,7 @@ class PointerRadialError(HarmonicEffect):
 
     def angle(self, observations: Observations) -> Array:
         """The azimuth."""
-        return pointed_beam.azimuth(observations.direction)
+        return azimuth(observations.direction)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Few orders, or many; with the cosine of the elevation, and without where that differs."""
