@@ -93,7 +93,7 @@ def common_shape(
     place = ordered.index(grid[best][0])
     low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
     if high == ordered[place] and effect.shapes[0].unit == "s":
-        high = min(_BEYOND * high, effect.shapes[0].high)
+        high = max(min(_BEYOND * high, effect.shapes[0].high), high)  # a session may be longer than that
     from scipy import optimize  # slow to load, and few effects need it
 
     found = optimize.minimize_scalar(

@@ -30,7 +30,8 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
     """(n,) change of each reading per unit of an error motion at its place; m per m, or m per rad.
 
     The lever arm of a rotation is that of the chain, and a flat mirror turns with it. Where the chain gives no arm in
-    the measured plane, the carriage is taken to turn about the machine's zero.
+    the measured plane, the carriage is taken to turn about the machine's zero; but not for circles, of which the
+    places are no more than lengths from one centre.
     """
     field = motion_field(observations.session.description.machine.kinematics, motion, observations.position)
     if not motion.is_rotation:
@@ -38,7 +39,8 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
     component = "ABC".index(motion.component)
     turned = observations.rotation_direction
     name = f"E{motion.component}{motion.axis}"
-    if name not in observations.rigid and not _is_sensed(observations, field):
+    yields = name not in observations.rigid and not spec_of(observations.session).centred
+    if yields and not _is_sensed(observations, field):
         arm = observations.position.copy()
         arm[:, "XYZ".index(motion.axis)] = 0.0
         field = np.cross(np.eye(3)[component], arm)
