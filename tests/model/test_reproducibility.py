@@ -113,7 +113,7 @@ def test_setups_that_differ_are_no_better_known_by_repeats(between: float, withi
         names = [f"lot{k}" for k in range(6)]
         measured = plates.session(columns, 3e-6, "none", ["EZX"], repeat, *names, setup=setup.tolist())
         found.append(1e6 * identify(measured).error_map.uncertainty[:, 2].mean())
-    assert np.mean(found) == pytest.approx(true, rel=0.35)
+    assert np.mean(found) == pytest.approx(true, rel=0.4)  # slopes of runs are possible, too
 
 
 @pytest.mark.parametrize(("runs", "told"), [(1, False), (2, True), (3, True), (5, True)])
@@ -275,3 +275,16 @@ def test_what_is_not_determined_is_no_number() -> None:
     content = tables_content(every, np.arange(6.0), 0.5 * np.arange(6.0))
     assert list(content) == ["EZZ", "C0Y", "B0Z"]
     assert content["EZZ"]["value"].tolist() == [0, 1, 2, 3] and content["B0Z"] == {"value": 5.0, "value_u": 2.5}
+
+
+def test_runs_with_slopes_of_their_own_are_known_no_better_without_times() -> None:
+    """At the end of the axis runs differ by their slopes: what the mean of ten is uncertain by."""
+    rng, x, found, true = np.random.default_rng(7), np.linspace(0.0, 0.4, 9), [], []
+    for _ in range(6):
+        slopes = 1e-5 * rng.normal(size=(10, 1))
+        read = (slopes * (x - 0.2) + 1e-7 * rng.normal(size=(10, 9))).ravel()
+        columns = {"x": np.tile(x, 10), "gx": np.ones(90), "gy": np.zeros(90), "gz": np.zeros(90), "displacement": read}
+        measured = plates.session(columns, 1e-7, "offset", ["EXX"], np.repeat(np.arange(10), 9))
+        found.append(identify(measured).error_map.uncertainty[-1, 0])
+        true.append(0.2 * slopes.std(ddof=1) / np.sqrt(10))
+    assert np.mean(found) == pytest.approx(np.mean(true), rel=0.25)

@@ -129,13 +129,13 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     return (*_of_session(observations), *_curves(observations))
 
 
-def _of_session(observations: Observations) -> tuple[Family, ...]:
+def _of_session(observations: Observations, by_order: bool = False) -> tuple[Family, ...]:
     direct = spec_of(observations.session).reads_machine
-    every = _of_direct(observations) if direct else _of_runs(observations)
+    every = _of_direct(observations, by_order) if direct else _of_runs(observations, by_order)
     return tuple(family for family in every if family.shapes.any())
 
 
-def _of_runs(observations: Observations) -> Iterator[Family]:
+def _of_runs(observations: Observations, by_order: bool) -> Iterator[Family]:
     """Runs, and mountings where these are others."""
     clock, readings = observations.clock, observations.readings
     # Readings are in the order of time, in whatever order they are given.
@@ -146,10 +146,10 @@ def _of_runs(observations: Observations) -> Iterator[Family]:
     run = in_order_of_appearance(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)
     mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]
-    yield _family(observations, "run", run)
+    yield _family(observations, "run", run, by_order)
     mounting = in_order_of_appearance(mounting)
     if not np.array_equal(run, mounting):
-        yield _family(observations, "mounting", mounting)
+        yield _family(observations, "mounting", mounting, by_order)
 
 
 def _curves(observations: Observations) -> tuple[Family, ...]:
@@ -163,9 +163,10 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
 
     Runs that differ only because something drifts through all of them would otherwise count as that many random
     functions, which move the map. Few do not tell the one from the other. Where the machine's deviations are read
-    themselves, a drift is the machine's own.
+    themselves, a drift is the machine's own. Runs without times may have slopes, too, in the order of their readings:
+    a search looks for these as a pattern.
     """
-    families = tuple(family for family in _of_session(observations) if not family.name.startswith("rows"))
+    families = tuple(family for family in _of_session(observations, True) if not family.name.startswith("rows"))
     return (*families, *_drift(observations, families), *_curves(observations))
 
 
@@ -207,13 +208,13 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
     return PureError(whole, dof, lost)
 
 
-def _family(observations: Observations, name: str, group: IntArray) -> Family:
+def _family(observations: Observations, name: str, group: IntArray, by_order: bool) -> Family:
     """One with smooth functions of the groups' time; of many groups with fewer, of very many offsets of several."""
     count = int(group.max(initial=0)) + 1
     if count > _MOST_GROUPS:
         group = _several_alike(observations, group, -(-count // _MOST_GROUPS))
         return Family(name, group, _smooth(observations, group)[:1])
-    return Family(name, group, _smooth(observations, group)[: max(_MOST_FUNCTIONS // count, 1)])
+    return Family(name, group, _smooth(observations, group, by_order)[: max(_MOST_FUNCTIONS // count, 1)])
 
 
 def _several_alike(observations: Observations, group: IntArray, several: int) -> IntArray:
@@ -230,9 +231,12 @@ def _several_alike(observations: Observations, group: IntArray, several: int) ->
     return groups(alike[group], place[group])
 
 
-def _smooth(observations: Observations, group: IntArray) -> Array:
-    """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded."""
-    time, weights = observations.clock, np.array(priors.SERIES if observations.timed else priors.SERIES[:1])
+def _smooth(observations: Observations, group: IntArray, by_order: bool = False) -> Array:
+    """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded.
+
+    With those of the order of its readings then, if they are asked for `by_order`.
+    """
+    time, weights = observations.clock, np.array(priors.SERIES if by_order or observations.timed else priors.SERIES[:1])
     scaled, degree = within(time, group), np.arange(len(weights))[:, None]
     flat = (np.bincount(group, np.abs(scaled)) == 0)[group]
     series = np.polynomial.legendre.legvander(scaled, len(weights) - 1).T * weights[:, None]
@@ -240,14 +244,14 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
     return np.where(determined, series, 0.0)
 
 
-def _of_direct(observations: Observations) -> Iterator[Family]:
+def _of_direct(observations: Observations, by_order: bool) -> Iterator[Family]:
     """Setups; runs and passes over a single axis; rows and columns of a grid; otherwise runs."""
     yield from _setups(observations)
     moved = np.flatnonzero(observations.moved).tolist()
     run = observations.readings.repeat_of_setup
     if len(moved) >= 2:
         if _tell(observations.place, run):
-            yield _moved_aside(observations, _family(observations, "run", run))
+            yield _moved_aside(observations, _family(observations, "run", run, by_order))
         if spec_of(observations.session).centred:
             way = _ways_round(observations.direction, run)
             if _tell(observations.readings.alike(approach=False), way):
@@ -260,7 +264,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     ways = in_order_of_appearance(passes_over(observations, moved[0])) if moved else run
     for name, group in (("run", run), ("pass", ways)):
         if group.max(initial=0) > 1 and _tell(observations.place, group) and (name == "run" or (group != run).any()):
-            yield _family(observations, name, group)
+            yield _family(observations, name, group, by_order)
 
 
 def _moved_aside(observations: Observations, family: Family) -> Family:

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import matplotlib
 import numpy as np
 import pytest
+from tests import plates
 
 from machine_tool_calibration.arrays import rigid_motions
 from machine_tool_calibration.budget.conformity import conformity
@@ -306,3 +307,23 @@ def test_runs_along_three_axes_say_nothing_of_what_each_does_across_itself(direc
     across = away.any(axis=1)[:, None] & ~away
     np.testing.assert_array_equal(np.isnan(found.error), across)
     np.testing.assert_array_equal(np.isnan(found.uncertainty), across)
+
+
+def test_places_that_are_not_determined_take_nothing_from_those_that_are() -> None:
+    """Three lines along each axis, at nodes of their own: beside the first a yaw says as much as an error along.
+
+    Each line is known but for its offset, which is taken out over what is determined.
+    """
+    at = np.zeros((9, 2 * len(NODES), 3))
+    for axis, line in np.ndindex(3, 3):
+        at[3 * axis + line] = 0.2 * line
+        at[3 * axis + line, :, axis] = np.tile(NODES, 2) * (1.0 - 0.01 * (3 * axis + line))
+    g, setup = np.repeat(np.eye(3), 6 * len(NODES), axis=0), np.repeat(np.arange(9), 2 * len(NODES)).tolist()
+    columns = dict(zip(("x", "y", "z", "gx", "gy", "gz"), (*at.reshape(-1, 3).T, *g.T), strict=True))
+    columns["displacement"] = 1e-5 * np.sum(at.reshape(-1, 3) * g, axis=1)
+    names, terms = [f"L{k}" for k in range(9)], ["EXX", "EYY", "EZZ", "EBX", "ECX", "ECY", "EAY"]
+    machine = {"chain": "w-Y-X-b-Z-t", "tool_offset": [0.0, 0.1, -0.2]}
+    found = identify(plates.session(columns, 3e-7, "offset", terms, None, *names, setup=setup, machine=machine))
+    points, error = found.error_map.points, found.error_map.error
+    first = (points[:, 1] == 0.0) & (points[:, 2] == 0.0)
+    assert first.sum() >= len(NODES) and np.isfinite(error[first, 0]).all() and np.isnan(error[:, 0]).any()

@@ -326,17 +326,19 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     approach = np.trunc([means_of(state, way)[first] for way in ways]) + 0.0
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
+    open_ones = fit.solution.undetermined_directions()[fit.places][mine]
+    undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction, sensed)
     if common.shape[1]:
-        flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=OPEN_SHARE)[0]).T
+        # Over the places that are determined: others would bring what is not into all.
+        inside = (sensed & ~undetermined).reshape(-1)
+        flat = flat - (common @ np.linalg.lstsq(common[inside], flat.T[inside], rcond=OPEN_SHARE)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     # A restated fit says what other readings do, and these are off the map as they are.
     if fit.joint.given is None:
         bend = between_nodes(model.tables, fit.theta[mine], points)
         covariance = widened(covariance, bend, model, fit.residuals, state)
-    open_ones = fit.solution.undetermined_directions()[fit.places][mine]
-    undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     # Where no term and no effect moves any place, nothing was asked of its error.
     error, uncertainty, covariance = determined_part(error, covariance, undetermined | ~sensed | (not field.any()))
     content: dict[str, Any] = {
