@@ -226,6 +226,20 @@ def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Arra
 OPEN_SHARE = 1e-6
 """Share of the largest displacement by what is open below which one is rounding, such as that of nodes' positions."""
 
+
+def without_open(moved: Array, open_: Array, inside: BoolArray) -> Array:
+    """(k, n, 3) displacements without those unit ones that are open, (3 n, q).
+
+    By least squares over the components of the points that are `inside` (3 n): others would bring what is not
+    determined into all.
+    """
+    if not (moved.size and open_.size):
+        return moved
+    whole = moved.reshape(len(moved), -1)
+    taken = open_ @ np.linalg.lstsq(open_[inside], whole.T[inside], rcond=OPEN_SHARE)[0]
+    return np.asarray(whole - taken.T).reshape(moved.shape)
+
+
 OPEN_CHANGE = 1e-9
 """Change with an undetermined direction of unit length from which a position error is not determined itself, m."""
 

@@ -44,7 +44,6 @@ from machine_tool_calibration.model.observations import SAME_POSITION, Observati
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
-    OPEN_SHARE,
     MachineTable,
     determined_part,
     map_field,
@@ -52,6 +51,7 @@ from machine_tool_calibration.model.rigid_body import (
     read_nodes,
     table_datum,
     tables_content,
+    without_open,
 )
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
@@ -329,11 +329,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction, sensed)
-    if common.shape[1]:
-        # Over the places that are determined: others would bring what is not into all.
-        inside = (sensed & ~undetermined).reshape(-1)
-        flat = flat - (common @ np.linalg.lstsq(common[inside], flat.T[inside], rcond=OPEN_SHARE)[0]).T
-    parts = flat.reshape(len(field), len(points), 3)
+    parts = without_open(field, common, (sensed & ~undetermined).reshape(-1))
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     # A restated fit says what other readings do, and these are off the map as they are.
     if fit.joint.given is None:

@@ -56,21 +56,13 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     moves = size > rigid_body.OPEN_SHARE * size.max(initial=0.0)
     open_ = open_[:, moves] / size[moves]
 
-    def without_open(moved: Array) -> Array:
-        """(k, n, 3) displacements without what is open."""
-        if not (moved.size and open_.size):
-            return moved
-        whole = moved.reshape(len(moved), 3 * n)
-        taken = open_ @ np.linalg.lstsq(open_[inside], whole.T[inside], rcond=rigid_body.OPEN_SHARE)[0]
-        return np.asarray(whole - taken.T).reshape(moved.shape)
-
-    field = without_open(field)
+    field = rigid_body.without_open(field, open_, inside)
     theta, own = solution.theta[index], solution.covariance[np.ix_(index, index)]
     error, covariance = rigid_body.position_errors(field, theta, own)
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
         for lines in between_nodes(common.tables, theta, own, points, solution.determined[index]):
-            off = without_open(lines)
+            off = rigid_body.without_open(lines, open_, inside)
             covariance += np.einsum("kni,knj->nij", off, off)
     moved = np.linalg.norm(np.einsum("kni,kq->niq", field, silent), axis=2)
     error, uncertainty, covariance = rigid_body.determined_part(
