@@ -89,7 +89,7 @@ TAKEN_UP = {
     "rotary_axis_a_one_way": ["backlash_a"],
     "rotary_axis_b_one_way": ["backlash_b"],
     "probing_cross": ["backlash_c", "scale", "C0Y"],
-    "straightness": ["backlash_x", "thermal_expansion_x", "warmup_x", "workpiece_thermal", "scale_x"],
+    "straightness": ["backlash_x", "thermal_expansion_x", "warmup_x", "scale_x"],
     "iso230_2": ["backlash_y", "thermal_expansion_y", "warmup_y", "scale_x", "scale_y", "scale_z"],
 }
 # In air that does not change and on a table that stays as warm as it is, every run's own unknowns take these up.

@@ -11,6 +11,13 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
 
+# Instruments that read the machine by a beam, a scale or an edge of their own, and no part.
+_OF_NO_PART = (
+    *("laser_interferometer", "tracking_interferometer", "laser_tracker", "ball_bar"),
+    *("grid_encoder", "linear_encoder", "straightedge", "autocollimator"),
+)
+
+
 class WorkpieceThermal(Effect):
     """The workpiece grows with its temperature, from the axis of the table."""
 
@@ -27,6 +34,13 @@ class WorkpieceThermal(Effect):
     def of_session(self) -> bool:
         """The workpiece is not the machine's: another session may have another one."""
         return True
+
+    def why_not(self, observations: Observations) -> str | None:
+        """Where no part is read, none grows."""
+        instrument = observations.session.instrument
+        if instrument in _OF_NO_PART:
+            return f"does not occur with instrument {instrument}"
+        return super().why_not(observations)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Growth in proportion to the distance from the axis, sensed through the workpiece."""
