@@ -103,6 +103,7 @@ STILL_AIR = {
 }
 # Nothing that a method has among its unknowns looks like these.
 NEVER = {
+    "workpiece_thermal",
     *("linear_drift", "station_drift", "pointer_radial_error", "retroreflector_form", "probe_pretravel"),
     *("squareness_drift_C0Y", "squareness_drift_B0Z", "squareness_drift_A0Z", "rotary_axis_drift"),
     *(f"{name}_{axis}" for name in ("screw_growth", "servo_mismatch", "reversal_spike", "vibration") for axis in "xyz"),
