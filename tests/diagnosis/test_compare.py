@@ -22,6 +22,7 @@ from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
+from .. import plates
 from ..cube import CUBE
 
 PLANS = ["tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2"]
@@ -235,3 +236,13 @@ def test_readings_that_scatter_less_than_declared_make_nothing_surer(reduced: fl
     nothing: Any = None
     solution: Any = SimpleNamespace(chi_square=8.0 * reduced, degrees_of_freedom=8)
     assert JointFit(nothing, solution).birge_ratio == scatter
+
+
+def test_a_line_over_few_readings_is_judged_beside_itself() -> None:
+    """The p-value of a line is that of a regression: the line is not in the scatter that it is held against."""
+    read, side = np.array([88.0, 49.0, 101.7, 109.6, 56.5, 89.6]) * 1e-9, np.array([2.0, 1.0, 2.0, 2.0, 1.0, 2.0])
+    columns = {"x": np.full(6, 0.1), "gx": np.ones(6), "gy": np.zeros(6), "gz": np.zeros(6)}
+    found = compare(plates.session({**columns, "displacement": read, "side": side}, 1e-9))
+    line, known = found.trends.set_index("covariate").loc["side"], stats.linregress(side, read)
+    assert line.p_value == pytest.approx(known.pvalue, rel=1e-6)
+    assert (line.added, line.added_u) == pytest.approx((known.slope, known.stderr), rel=1e-6)

@@ -26,7 +26,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.residuals.covariates import LEAST_SENSITIVITY, bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.noise import Noise, noise_of
-from machine_tool_calibration.residuals.sums import residual_sums
+from machine_tool_calibration.residuals.sums import Sums, residual_sums
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
@@ -73,8 +73,8 @@ class Comparison:
     """A model against the readings of a session.
 
     The columns of its tables are described where people ask for them, at the attributes of the public `Comparison`.
-    Uncertainties are those of the declared noise, or of the scatter about the model where that is larger; they allow
-    for what the model took up. NaN stands where the model takes a figure up.
+    Uncertainties are those of the declared noise, or of the scatter about the model where that is larger, of lines and
+    approaches with these in it; they allow for what the model took up. NaN stands where the model takes a figure up.
     """
 
     fit: Fit  # the fitted model
@@ -365,12 +365,11 @@ def _approaches(fit: Fit) -> pd.DataFrame:
             weights += [np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0)), along]
     out = pd.DataFrame(found, columns=["axis", "forward", "backward", "seen"])
     sums, seen = residual_sums(fit, np.reshape(weights, (-1, len(readings)))), out.pop("seen").astype(bool)
-    out["difference"], out["difference_u"] = sums.value[::2], fit.joint.birge_ratio * sums.uncertainty[::2]
-    for name, values in (("", sums.added), ("_u", fit.joint.birge_ratio * sums.added_uncertainty)):
+    scatter, p_value = _beside(fit, sums)
+    out["difference"], out["difference_u"] = sums.value[::2], (scatter * sums.uncertainty)[::2]
+    for name, values in (("", sums.added), ("_u", scatter * sums.added_uncertainty)):
         out[f"displacement{name}"] = np.where(seen, values[1::2], np.nan)
-    by_difference = _p_value(fit, out["difference"], out["difference_u"])
-    by_displacement = _p_value(fit, out["displacement"], out["displacement_u"])
-    out["p_value"] = np.where(out["displacement"].isna(), by_difference, by_displacement)
+    out["p_value"] = np.where(out["displacement"].isna(), p_value[::2], p_value[1::2])
     return out
 
 
@@ -382,19 +381,26 @@ def _trends(fit: Fit, along: Mapping[str, Array]) -> pd.DataFrame:
     }
     centred = np.reshape([values - values.mean() for values in chosen.values()], (-1, len(fit.residuals)))
     squares = np.einsum("kn,kn->k", centred, centred)
-    sums, scatter = residual_sums(fit, centred), fit.joint.birge_ratio
+    sums = residual_sums(fit, centred)
+    scatter, p_value = _beside(fit, sums)
     out = pd.DataFrame({"covariate": [*chosen], "span": [float(np.ptp(values)) for values in chosen.values()]})
     out["slope"], out["slope_u"] = sums.value / squares, scatter * sums.uncertainty / squares
     out["added"], out["added_u"] = sums.added, scatter * sums.added_uncertainty
-    out["p_value"] = _p_value(fit, out["slope"], out["slope_u"])
+    out["p_value"] = p_value
     return out.sort_values("p_value", kind="stable", ignore_index=True)
 
 
-def _p_value(fit: Fit, value: pd.Series[float], uncertainty: pd.Series[float]) -> Array:
-    """Probability of values so far from zero; Student's where the scatter is that of the residuals."""
-    ratio = -value.abs() / uncertainty.where(uncertainty > 0.0)
-    dof = fit.solution.degrees_of_freedom
-    return np.asarray(2.0 * (special.stdtr(dof, ratio) if fit.joint.birge_ratio > 1.0 else special.ndtr(ratio)))
+def _beside(fit: Fit, sums: Sums) -> tuple[Array, Array]:
+    """Of each sum the scatter of the readings with its column in the model, and the probability of so large a sum.
+
+    The scatter is over the declared one, and at least that. Where readings scatter more about the model the
+    probability is that of a t-test: the column takes one degree of freedom.
+    """
+    ratio, left = sums.value / sums.uncertainty, fit.solution.degrees_of_freedom - 1
+    if not left or fit.joint.birge_ratio == 1.0:
+        return np.ones(len(ratio)), 2.0 * special.ndtr(-np.abs(ratio))
+    own = np.sqrt(np.maximum(fit.solution.chi_square - ratio**2, np.finfo(float).tiny) / left)
+    return np.maximum(own, 1.0), 2.0 * special.stdtr(left, -np.abs(ratio) / own)
 
 
 def _worst_first(parts: pd.DataFrame) -> pd.DataFrame:
