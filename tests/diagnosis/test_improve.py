@@ -18,9 +18,13 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.reports.comparison import in_words
+from machine_tool_calibration.reports.improvement import improvement_words
+from machine_tool_calibration.reports.verdict import headline
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
+from .. import plates
 from ..diagnosed import diagnosed
+from ..told import keys
 
 
 @cache
@@ -246,3 +250,14 @@ def test_a_reading_of_the_wrong_sign_keeps_no_model_from_being_improved() -> Non
     assert isinstance(compared, Comparison)
     assert compared.outliers == rows
     assert not compared.counted and "left out of these figures" in in_words(compared)
+
+
+def test_where_nothing_is_added_the_diagnosis_is_said() -> None:
+    """Six readings that scatter by more than declared: that the side from which they were read is likely, not sure."""
+    read, side = np.array([88.0, 49.0, 101.7, 109.6, 56.5, 89.6]) * 1e-9, np.array([2.0, 1.0, 2.0, 2.0, 1.0, 2.0])
+    columns = {"x": np.full(6, 0.1), "gx": np.ones(6), "gy": np.zeros(6), "gz": np.zeros(6)}
+    columns["time"] = np.array([0.1e3, 21.4e3, 82.0e3, 943.9e3, 971.1e3, 1030.2e3])
+    done = improve(plates.session({**columns, "displacement": read, "side": side}, 1e-8))
+    told = improvement_words(done)
+    assert not done.accepted and str(headline(done.diagnosis)) in told and "follows_side_x" in told
+    assert keys(told)[:2] == ["improved.nothing", "diagnosis.none_sure"]

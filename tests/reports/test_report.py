@@ -19,7 +19,7 @@ from machine_tool_calibration.reports.identification import result_parts
 from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.reports.verdict import mounted_more_than_once, verdict_words
+from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, DirectPlan, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import say
@@ -142,9 +142,9 @@ def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
 
 def test_a_setup_that_is_measured_left_and_measured_again_counts_as_mounted_again() -> None:
     session = simulate(SPECS["adequate"]).session
-    assert not mounted_more_than_once(session)
+    assert not session.mounted_again
     order = np.argsort(session.readings.repeat, kind="stable")
-    assert mounted_more_than_once(session.with_readings(session.readings.select(order)))
+    assert session.with_readings(session.readings.select(order)).mounted_again
 
 
 def test_all_candidates_on_request() -> None:

@@ -18,6 +18,7 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words, table
+from machine_tool_calibration.reports.verdict import headline
 from machine_tool_calibration.words import say
 
 # Growth of the map's uncertainty that is explained.
@@ -76,7 +77,7 @@ def improvement_words(done: Improvement) -> str:
         return say(key, names=", ".join(done.accepted), fell=fell, grows=grows)
     if found.verdict == "outliers":
         return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
-    return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing")
+    return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing", found=headline(found))
 
 
 def _what_falls(done: Improvement) -> str:

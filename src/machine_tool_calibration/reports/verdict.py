@@ -31,7 +31,6 @@ from machine_tool_calibration.residuals.noise import scatter_over_declared
 from machine_tool_calibration.residuals.places import alike_beside_p, differ_by_setup, read_in_several_setups
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import Said, say, together
 
 # Standard uncertainties between confounded effects from which it is said how far apart they are.
@@ -62,7 +61,7 @@ def verdict_words(
 
     Where it is to be `brief` only what decides; the effects are then in a table.
     """
-    yield _verdict(diagnosis)
+    yield headline(diagnosis)
     yield from left_words(diagnosis)
     yield from _there_and_back_once(diagnosis)
     for words in diagnosis.suspicious:
@@ -125,7 +124,8 @@ def left_words(diagnosis: Diagnosis) -> Iterator[str]:
         yield say("diagnosis.structure_unsure")
 
 
-def _verdict(diagnosis: Diagnosis) -> Said:
+def headline(diagnosis: Diagnosis) -> Said:
+    """The verdict, and what it rests on: one sentence or two."""
     look, declared = diagnosis.search, quantity(diagnosis.noise.declared, "m")
     residual = say("diagnosis.residual", found=quantity(rms(Pool(diagnosis.fits[0]).residuals), "m"), declared=declared)
     if diagnosis.verdict == "missing_effect":
@@ -392,7 +392,7 @@ def _dependence(structure: Structure) -> dict[str, str]:
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, joint = diagnosis.noise, diagnosis.fits[-1]
     ratio = float(np.sqrt(joint.reduced_chi_square))
-    again = mounted_more_than_once(diagnosis.chosen.sessions[0])
+    again = diagnosis.chosen.sessions[0].mounted_again
     if spec_of(diagnosis.chosen.sessions[0]).reads_machine:
         yield from _scatter(diagnosis)
         return
@@ -439,12 +439,3 @@ def _scatter_of_each(fit: JointFit) -> Iterator[Said]:
         yield say("diagnosis.scatter_of_each", ratio=ratio, each=together(each, ", "))
     elif not any(reproducibility_words([size.document() for size in fit.marginal.sizes])):
         yield say("diagnosis.no_noise", ratio=ratio)
-
-
-def mounted_more_than_once(session: Session) -> bool:
-    """Whether a setup was measured, left, and measured again."""
-    setup = session.readings.setup
-    if not len(setup):
-        return False
-    stretches = setup[np.r_[True, np.diff(setup) != 0]]
-    return len(stretches) > len(np.unique(stretches))

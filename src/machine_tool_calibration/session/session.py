@@ -161,6 +161,12 @@ class Session:
         sign = own if own is not None else self.description.machine.rotation_sign
         return self.description.turns if sign is None else int(sign)
 
+    @property
+    def mounted_again(self) -> bool:
+        """Whether a setup was measured, left, and measured again."""
+        setup = self.readings.setup
+        return int(np.count_nonzero(np.diff(setup))) >= len(np.unique(setup)) > 0
+
     def with_readings(self, readings: Readings) -> Session:
         """The same measurement with other readings."""
         return replace(self, readings=readings, recorded=None)
