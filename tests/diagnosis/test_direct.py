@@ -101,6 +101,8 @@ def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats(monkeypat
         told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
     assert told[:3] == ["diagnosis.no_effect", "diagnosis.residual", "diagnosis.small_in_map"]
     repeated = diagnose(plates.plate(2, holes=150, repeats=3, declared=2e-7, tails=None)[0])
+    told = [key for words in verdict_words(repeated, {}, Advice()) for key in keys(words)]
+    assert told[0] == "diagnosis.places_only" and "shape.places_differ" in told and repeated.left
     assert keys(next_step(repeated, Advice())) == ["next.places"]
     repeats_too = replace(repeated, noise=replace(repeated.noise, as_read=2e-3))
     assert keys(next_step(repeats_too, Advice())) == ["next.scatter"]

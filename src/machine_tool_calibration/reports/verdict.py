@@ -142,6 +142,8 @@ def headline(diagnosis: Diagnosis) -> Said:
     enough, scatters = good_enough(diagnosis), _scatters(diagnosis)
     if diagnosis.likely:
         sound = together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
+    elif scatters and not enough and (places := [s.shape for s in diagnosis.left if s.covariate in _OF_PLACES]):
+        sound = say("diagnosis.places_only", residual=residual, places=places[0])
     elif scatters or enough:
         key = ("no_effect" if enough else "no_pattern") if scatters else "nothing_matters"
         sound = say(f"diagnosis.{key}", residual=residual)
