@@ -168,6 +168,8 @@ def test_passes_of_an_axis_that_slips_are_what_is_said_first() -> None:
     assert keys(next_step(untimed, Advice())) == ["next.runs_untimed"]
     still = diagnose(plates.axis(5, declared=5e-7, terms=("EXX",)))
     assert keys(next_step(still, Advice())) == ["next.nothing"]
+    doubtful = replace(still, search=replace(still.search, nothing=0.3, unknown=0.0))
+    assert keys(next_step(doubtful, Advice())) == ["next.may_be_missing"]
 
 
 @pytest.mark.long

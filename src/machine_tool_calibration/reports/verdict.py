@@ -147,7 +147,7 @@ def headline(diagnosis: Diagnosis) -> Said:
     elif scatters or enough:
         key = ("no_effect" if enough else "no_pattern") if scatters else "nothing_matters"
         sound = say(f"diagnosis.{key}", residual=residual)
-    elif diagnosis.nothing < 0.5:
+    elif diagnosis.nothing < 1.0 - priors.ACCEPTED:
         sound = say("diagnosis.one_of_many", p=probability(1.0 - diagnosis.nothing), residual=residual)
     else:
         sound = say("diagnosis.nothing_shown", p=probability(diagnosis.nothing), residual=residual)
@@ -218,8 +218,10 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
             return say("next.runs" if timed else "next.runs_untimed")
         # Of places or setups that differ there are fewer than readings, however often these are repeated.
         if fit_quality(fit.p_value) != "bad" and fit.marginal.scatter < _OF_PLACES_MOSTLY * fit.birge_ratio:
-            known = np.isfinite(diagnosis.fitted[-1].error_map.error).any()
-            return say("next.nothing" if known else "next.undetermined")
+            if not np.isfinite(diagnosis.fitted[-1].error_map.error).any():
+                return say("next.undetermined")
+            missing = diagnosis.nothing < 1.0 - priors.ACCEPTED and not good_enough(diagnosis)
+            return say("next.may_be_missing" if missing else "next.nothing")
         what = f"next.{_what_scatters(diagnosis)}"
         return say(what, ratio=rounded(np.sqrt(fit.reduced_chi_square)))
     return say("next.smaller", measure=best.measure)
