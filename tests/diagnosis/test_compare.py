@@ -16,11 +16,12 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.reports.comparison import comparison_document, in_words
+from machine_tool_calibration.reports.comparison import comparison_document, comparison_tables, in_words
 from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import say
 
 from .. import plates
 from ..cube import CUBE
@@ -246,3 +247,18 @@ def test_a_line_over_few_readings_is_judged_beside_itself() -> None:
     line, known = found.trends.set_index("covariate").loc["side"], stats.linregress(side, read)
     assert line.p_value == pytest.approx(known.pvalue, rel=1e-6)
     assert (line.added, line.added_u) == pytest.approx((known.slope, known.stderr), rel=1e-6)
+
+
+def test_a_line_that_the_model_holds_has_no_size_in_it_where_setups_count_unequally() -> None:
+    """What setups of different scatter leave over the place is known; what the model's own table would need is not."""
+    rng, x = np.random.default_rng(1), np.tile(0.001 * np.arange(9), 6)
+    setup = np.repeat([0, 1], 27)
+    columns = {"x": x, "gx": np.ones(54), "gy": np.zeros(54), "gz": np.zeros(54)}
+    columns["displacement"] = np.array([7e-6, 1e-6])[setup] * rng.normal(size=54)
+    repeat = np.tile(np.repeat(np.arange(3), 9), 2)
+    found = compare(plates.session(columns, 1e-7, "offset", ["EXX"], repeat, "A", "B", setup=setup.tolist()))
+    assert len(np.unique(found.fit.model.sigma)) == 2
+    line = found.trends.set_index("covariate").loc["x"]
+    assert np.isfinite(line[["slope", "slope_u"]].astype(float)).all() and np.isnan([line.added, line.added_u]).all()
+    table = next(t for t in comparison_tables(found) if t.title == say("compared.trends"))
+    assert table.note.endswith(str(say("compared.nowhere", names=say("head.needed_um"))))

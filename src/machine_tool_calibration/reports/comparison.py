@@ -174,6 +174,7 @@ _UNCERTAIN: dict[str, Callable[[_Row], str]] = {
     "drift": _uncertain("slope", _MICRO * _HOUR),
     "difference": _uncertain("difference"),
     "stands_apart": _displacement,
+    "needed_um": lambda row: _uncertain("added", _MICRO * row["span"])(row),
 }
 """Cells of columns of which a row may leave the figure undetermined, by the key of the column's head."""
 _CELLS: dict[str, Callable[[_Row], str]] = _UNCERTAIN | {
@@ -184,7 +185,6 @@ _CELLS: dict[str, Callable[[_Row], str]] = _UNCERTAIN | {
     "place_on_axis": _position,
     "after": lambda row: f"{row['forward']} / {row['backward']}",
     "change_um": lambda row: _uncertain("slope", _MICRO * row["span"])(row),
-    "needed_um": lambda row: _uncertain("added", _MICRO * row["span"])(row),
     "residual_um": lambda row: micrometres(row["residual"], signed=True),
     "times_expected": lambda row: NOT_DETERMINED if row["studentized"] is None else f"{row['studentized']:+.1f}",
     "p_value": lambda row: probability(row["p_value"]),
@@ -236,9 +236,9 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
         worst = worst.sort_values("axis", kind="stable", key=lambda names: names.map([*_UNITS].index))
         yield _table(say("compared.regions"), worst, ("axis", "place_on_axis", *_FIGURES[:3], "mean_um"))
     if len(comparison.approaches):
-        keys = ("axis", "after", *[*_UNCERTAIN][2:], "p_value")
+        keys: tuple[str, ...] = ("axis", "after", "difference", "stands_apart", "p_value")
         yield _table(say("compared.approach"), comparison.approaches, keys, say("compared.apart"))
-    if len(comparison.trends.dropna(subset=["slope", "added"])):
+    if comparison.trends["slope"].notna().any():
         yield _trends(comparison)
     keys = ("row", "setup", "repeat", *comparison.texts, "residual_um", "times_expected")
     yield _table(say("compared.readings"), comparison.worst[:_MOST_LABELS], keys, say("compared.expected"))
@@ -280,7 +280,7 @@ def _trends(comparison: Comparison) -> TextTable:
 def _correlated_groups(comparison: Comparison) -> list[list[_Row]]:
     """Trends whose covariates changed together, in the order of the clearest of each; that one leads its group."""
     groups: list[list[_Row]] = []
-    for trend in records(comparison.trends.dropna(subset=["slope", "added"])):
+    for trend in records(comparison.trends.dropna(subset=["slope"])):
         values = comparison.covariates[trend["covariate"]]
         for group in groups:
             if abs(np.corrcoef(values, comparison.covariates[group[0]["covariate"]])[0, 1]) > _TOGETHER:
@@ -300,7 +300,7 @@ def _note(comparison: Comparison, shown: list[list[_Row]]) -> str:
     rest = trends["covariate"][~trends["covariate"].isin(listed) & trends["slope"].notna()]
     if len(rest):
         notes.append(say("compared.nothing_clear", names=", ".join(rest)))
-    hidden = trends["covariate"][trends["slope"].isna() | trends["added"].isna()]
+    hidden = trends["covariate"][trends["slope"].isna()]
     if len(hidden):
         notes.append(say("compared.hidden", names=", ".join(hidden)))
     notes.append(say("compared.tried", n=len(trends), p=f"{1 / (len(trends) + 1):.1g}"))
