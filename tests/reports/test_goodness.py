@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the model that takes no axes for rigid is recommended."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -28,11 +31,23 @@ def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes(
     assert not list(free_words({**document, "error_map": once}))
 
 
-@pytest.mark.parametrize(("u", "told"), [(4e-4, []), (2.15e-2, ["43.0 mm"]), (np.nan, [])])
+@pytest.mark.parametrize(
+    ("u", "sigma", "told"),
+    [
+        (4e-4, 1e-6, []),
+        (2.15e-2, 1e-6, ["43.0 mm"]),
+        (2.15e-2, 4e-3, ["43.0 mm"]),
+        (2.15e-2, 2e-2, []),
+        (np.nan, 1e-6, []),
+    ],
+)
 def test_a_map_with_an_uncertainty_of_the_size_of_a_machine_is_said_to_be_hardly_determined(
-    u: float, told: list[str]
+    u: float, sigma: float, told: list[str]
 ) -> None:
+    """And not where it is that of a coarse instrument, of which single readings scatter as much."""
+    assembly = SimpleNamespace(models=[SimpleNamespace(sigma=np.array([1e-6, sigma]))])
+    fit: Any = SimpleNamespace(birge_ratio=1.2, assembly=assembly)
     content = {"points": [[0.0, 0.0], [0.4, 0.3]], "position_error_u": [[1e-6, None], [u, 2e-6]]}
-    words = list(vague_words(content))
+    words = list(vague_words(content, fit))
     assert [size for size in told if f"up to {size}, of places 400 mm apart" in words[0]] == told
-    assert len(words) == len(told) and not list(vague_words({}))
+    assert len(words) == len(told) and not list(vague_words({}, fit))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.effects.pitch_periodic import aliases
 from machine_tool_calibration.model.fit import JointFit
@@ -27,6 +28,8 @@ from machine_tool_calibration.words import Said, Verbatim, say, together
 _SURE = 2.0
 # Share of the places' extent from which an expanded uncertainty tells nothing of a machine.
 _VAGUE = 0.01
+# Uncertainty over that of single readings from which it is the geometry that hardly determines a map.
+_WEAK = 3.0
 
 
 def fit_words(reduced_chi_square: float, p_value: float) -> Said:
@@ -98,13 +101,17 @@ def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
         yield say("fit.free_nodes", nodes=nodes, places=places)
 
 
-def vague_words(content: Mapping[str, Any]) -> Iterator[Said]:
-    """That a map is hardly determined somewhere: its U is of the size of a machine, and not of one's errors."""
+def vague_words(content: Mapping[str, Any], fit: JointFit) -> Iterator[Said]:
+    """That a map is hardly determined somewhere: its U is of the size of a machine, and not of one's errors.
+
+    A U of the size of what single readings scatter by is that of a coarse instrument.
+    """
+    scatter = fit.birge_ratio * max(rms(model.sigma) for model in fit.assembly.models)
     u = np.array(content.get("position_error_u", ()), dtype=float)
     places = np.array(content.get("points", content.get("grid", ())), dtype=float)
     if len(places) and np.isfinite(u).any():
         largest, extent = K * float(np.nanmax(u)), float(np.ptp(places, axis=0).max())
-        if largest > _VAGUE * extent > 0.0:
+        if largest > max(_VAGUE * extent, _WEAK * K * scatter) and extent > 0.0:
             yield say("fit.vague", U=quantity(largest, "m"), extent=f"{1e3 * extent:.4g} mm")
 
 

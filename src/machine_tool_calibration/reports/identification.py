@@ -197,7 +197,7 @@ def result_parts(
     if (more := len(reasons) - _MOST_NAMES) > 0:
         yield say("result.not_determined_more", n=more)
     yield say("result.datum", datum=datum_words(document))
-    yield from vague_words(document["error_map"] or {})
+    yield from vague_words(document["error_map"] or {}, fit)
 
 
 def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
