@@ -19,6 +19,8 @@ from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Amplitudes, MachineSpec, SimulationSpec, simulate
 
+from .. import plates
+
 Simulated = Callable[..., Session]
 THREE = {"diagonals": ("ppp", "npp", "pnp")}
 LONG = {"step": (0.05, 0.05, 0.05), "blocks": 12}
@@ -160,6 +162,20 @@ def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) 
         warmed = session.with_readings(replace(session.readings, columns=columns))
         found = limits_of(warmed, build_model(warmed)[0])
         assert found is not None and found.drift == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("hours", "drift", "told"), [(100.0, 0.0, True), (100.0, DRIFT, False), (0.01, 0.0, False)])
+def test_a_drift_that_the_readings_exclude_is_not_assumed(hours: float, drift: float, told: bool) -> None:
+    """One place read again and again for days; within half a minute the assumed rate is too small to show."""
+    time = np.linspace(0.0, 3600.0 * hours, 9)
+    columns = {"time": time, "x": np.full(9, 0.1), "gx": np.ones(9), "gy": np.zeros(9), "gz": np.zeros(9)}
+    columns["displacement"] = 1e-7 + drift * time + 1e-8 * np.random.default_rng(4).normal(size=9)
+    session = plates.session(columns, 1e-8)
+    found = limits_of(session, build_model(session)[0])
+    assert found is not None
+    # A slope over this time by readings of 10 nm.
+    known = 1e-8 / np.sqrt(np.sum((time - time.mean()) ** 2))
+    assert (found.drift < 4.0 * known < 0.01 * DRIFT) if told else found.drift == DRIFT
 
 
 @pytest.mark.long

@@ -8,8 +8,8 @@ Beside the scatter of the readings two things weigh on a map that a fit of the r
 
 Angular errors are put into the model as what they are before any reading: unknowns of an expected size; what the
 readings leave of them is their share of the uncertainty. A drift is not in a method's model unless a diagnosis puts it
-there: its share is what one of the expected size would do to the map. A further measurement is judged by what would be
-left of all three.
+there: its share is what one of the expected size would do to the map, or of the size that the readings leave possible,
+where that is far smaller. A further measurement is judged by what would be left of all three.
 """
 
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
+from machine_tool_calibration.residuals.sums import residual_sums
 from machine_tool_calibration.session.session import Session
 
 ANGULAR = 5e-6
@@ -35,6 +36,8 @@ ANGULAR = 5e-6
 DRIFT = 1e-9
 """Rate at which a reading drifts if the air warms by 1 K per hour, m/s: 3.6 um an hour, a third of a metre of steel."""
 
+# Share of the expected drift below which what the readings say of a steady one counts in its place.
+_FAR_LESS = 0.1
 # A remedy leaves less than this of what the same measurement once more would leave.
 _WORTHWHILE = 0.9
 _MOST_REMEDIES = 3
@@ -55,7 +58,7 @@ class Dominant:
     uncertainty: float  # root mean square standard uncertainty of the map's coordinates, m
     shares: dict[str, float]  # of its variance, by cause
     angular: float  # size of the angular errors that was assumed, rad; 0 where the model has none
-    drift: float  # rate that was assumed, m/s; 0 where no time was recorded
+    drift: float  # rate that was assumed, or that the readings leave possible, m/s; 0 where no time was recorded
     again: float | None = None  # the uncertainty after the same measurement once more, m; None if not asked for
     # measurements that are clearly better than that, the best first; none where the readings' own scatter dominates
     remedies: tuple[Remedy, ...] = ()
@@ -141,9 +144,20 @@ def limits_of(session: Session, built: MethodModel, scatter: float = 1.0) -> Dom
     """
     scatter = 1.0 if isinstance(built, StepDiagonalModel) else scatter
     try:
-        return _shares(session, built, angular_size(built), DRIFT * max(_warming(session), 1.0), scatter)
+        return _shares(session, built, angular_size(built), _drift(session, built), scatter)
     except CalibrationError:
         return None
+
+
+def _drift(session: Session, built: MethodModel) -> float:
+    """Rate of a drift, m/s, as the air warmed; what the readings bound it by, where that is far less."""
+    expected = DRIFT * max(_warming(session), 1.0)
+    if LinearDrift().why_not(built.observations) is not None:
+        return expected
+    fit = fit_models([built])
+    sums = residual_sums(fit.fits[0], LinearDrift().columns(built.observations))
+    told = float(np.hypot(sums.added, fit.birge_ratio * sums.added_uncertainty)[0])
+    return told if told < _FAR_LESS * expected else expected
 
 
 def angular_size(model: MethodModel) -> float:
