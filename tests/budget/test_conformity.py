@@ -28,6 +28,8 @@ from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, DiagonalPlan, FlawSpec, SimulationSpec, TrackingPlan, simulate
 
+from ..told import keys
+
 # Readings that scatter by next to nothing.
 QUIET = {"standard_uncertainty": {"displacement": 1e-10}}
 # Declared 1 µm, four runs: the mean at each position is known to 0.5 µm.
@@ -253,6 +255,16 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     assert [verdict.name for verdict in found.each] == ["M_X", "M_X", "B_mean_X", "A_Y"]
     assert [v.probability for v in found.each[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
     assert [v.decision for v in found.each] == ["undecided", "undecided", "pass", "not determined"]
+
+
+def test_of_runs_in_one_direction_its_own_figures_are_what_can_be_asked_for(runs: Callable[..., Session]) -> None:
+    session = runs(1e-6 * np.random.default_rng(2).standard_normal(20))
+    columns = {**session.readings.columns, "dir_x": -np.ones(20)}
+    fitted = fit_sessions(session.with_readings(replace(session.readings, columns=columns)))
+    both, one_way = judged(fitted, {"A": 1e-3, "A_down": 1e-3}).each
+    assert (both.decision, one_way.decision) == ("not determined", "pass")
+    assert keys(both.why) == ["conformity.one_way"] and both.why.endswith(one_way.name)
+    assert one_way.name == "A_down_X"
 
 
 def test_of_one_run_in_each_direction_the_motion_is_judged_by_its_values(reproducible: None) -> None:

@@ -8,7 +8,7 @@ values are drawn with their joint uncertainty, and what is asked for is worked o
 in the measured values and once more in the draws: each side of the tolerance is asked by itself.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -319,7 +319,17 @@ class _Conformity:
         if name == VOLUMETRIC and error_map.not_determined:
             entry = error_map.not_determined[0]
             return say("conformity.why_named", name=entry.name, why=entry.why)
+        if (way := next(self.one_way(name), None)) is not None:
+            return say("conformity.one_way", name=way)
         return say("conformity.part_missing" if name in self.numbers.by_name else "conformity.not_given")
+
+    def one_way(self, name: str) -> Iterator[str]:
+        """The same figure of a direction of approach that is determined, such as `A_up_X` of `A_X`."""
+        base = published.figure_of(name) or ""
+        for way in ("up", "down"):
+            other = self.numbers.by_name.get(f"{base}_{way}{name.removeprefix(base)}")
+            if base and other is not None and np.isfinite(self.numbers.value[other.first] + self.u[other.first]):
+                yield other.name
 
 
 def _single(value: float, u: float, dof: float, tolerance: float, *, signed: bool) -> float:

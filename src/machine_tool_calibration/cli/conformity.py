@@ -54,9 +54,10 @@ def command(
     """Say whether the machine keeps its tolerances: pass, fail or undecided, with the probability.
 
     SESSION is a session folder or a recording. A tolerance is that of an error motion (its range over the axis), of a
-    squareness (its absolute value), of a figure of ISO 230-2 (A, R, E, M, B, B_mean; A_X of one axis) or of the
-    volumetric error (volumetric: the largest position error of the map). What the data does not determine never passes,
-    and nothing is decided without a budget: what the readings themselves show lacks instrument and temperature.
+    squareness (its absolute value), of a figure of ISO 230-2 (A, R, E, M, B, B_mean; A_X of one axis; A_up, A_down of
+    one direction of approach, R and E alike) or of the volumetric error (volumetric: the largest position error of the
+    map). What the data does not determine never passes, and nothing is decided without a budget: what the readings
+    themselves show lacks instrument and temperature.
 
     \b
     mtcal conformity session --tolerance EXX=10um --tolerance C0Y=20urad
