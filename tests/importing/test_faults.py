@@ -31,6 +31,8 @@ from .tables import GOOD, RUNS, SESSION, WIDE, points, read
         ),
         ("X:M\n0:1\n", {}, r"there is no column 'X' \(x\); it has 'X:M'$"),
         ("X,M\n0,1,2\n", {}, r"line 2: 3 cells where the header has 2$"),
+        ("Tue Oct 7\nX,M\n0,1\n", {}, r"line 2: 2 cells .* has 1; .*, or is that a title \(--skip 1\)\?$"),
+        ("X,,\n0,1,2\n", {"columns": {"x": "X", "actual_x": "2"}}, r"no column '2' .*; .* --no-header --skip 1$"),
         ("X,M\n0\n", {}, r"line 2: 1 cells where the header has 2$"),
         ("X,M,M\n0,1,2\n", {}, r"the column 'M' \(actual_x\) stands 2 times in the header$"),
         ("X,M\n", {}, r"t\.csv: no rows$"),

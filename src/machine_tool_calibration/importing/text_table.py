@@ -113,6 +113,8 @@ class TextTable:
         hint = ""
         if len(self.names) == 1 and any(mark in self.names[0] for mark in ";\t|,"):
             hint = "; is the separator right?"
+        elif "" in self.names and column.strip().isdigit():
+            hint = f"; columns without a name have numbers with --no-header --skip {self.header_line}"
         known = ", ".join(map(repr, self.names[:20]))
         raise SessionError(f"{self.source}: there is no column {column!r} ({what}); it has {known}{hint}")
 
@@ -191,7 +193,8 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
         if width[row] < count or any(cells[row, count:]):
             raise SessionError(
                 f"{source} line {places[row]}: {width[row]} cells where {'the header' if begin else 'another row'} has "
-                f"{count}" + ("; is the separator right?" if count == 1 else "")
+                f"{count}"
+                + (f"; is the separator right, or is that a title (--skip {places[0]})?" if count == 1 else "")
             )
     notes = tuple(
         f"line {number} is left out (comment or skip_after_header) and looks like a row: {text.strip()[:60]}"
