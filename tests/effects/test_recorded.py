@@ -90,6 +90,17 @@ def test_every_column_that_no_other_effect_knows_has_its_own() -> None:
     assert recorded_effect("follow_spindle_x") is None
 
 
+def test_a_column_with_a_name_like_a_delay_is_told_from_one_that_is_followed_late() -> None:
+    columns = ["foo", "late_foo", "now_foo", "late"]
+    every = recorded_effects(columns)
+    assert len({effect.id for effect in every}) == len(every) == 2 * 3 * len(columns)
+    for effect in every:
+        again = recorded_effect(effect.id)
+        assert (type(again), again and again.needs) == (type(effect), effect.needs)
+    assert [e.id for e in every if e.needs == ("x", "late_foo")] == ["follows_now_late_foo_x"]
+    assert recorded_effect("follows_now_foo_x") is None
+
+
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(ModelError, match="the column bed was not recorded"):
         identify(axis(np.zeros(len(TIME))), effects=["follows_bed_x"])

@@ -20,7 +20,9 @@ from machine_tool_calibration.words import say
 _MOST_COLUMNS = 12
 _LINEAR = "xyz"
 _TEMPERATURE, _AIR = "temperature_", "temperature_air"
-_ID = re.compile(rf"follows_(?P<late>late_)?(?P<column>[A-Za-z_]\w*)_(?P<axis>[{_LINEAR}])")
+# Before a column that begins like this, `now_` tells what follows it at once from what follows another late.
+_LATE, _NOW = "late_", "now_"
+_ID = re.compile(rf"follows_(?P<when>{_LATE}|{_NOW})?(?P<column>[A-Za-z_]\w*)_(?P<axis>[{_LINEAR}])")
 
 
 class Follows(ThermalExpansion):
@@ -31,7 +33,7 @@ class Follows(ThermalExpansion):
     Celsius, anything else from its mean over the readings. Coefficients are per unit of the column.
     """
 
-    id = "follows_{column}_{axis}"
+    id = "follows_{now}{column}_{axis}"
     title = say("effect.follows")
     formula = say("formula.follows")
     source = "ISO 230-3, thermal distortion by temperatures of the structure"
@@ -50,7 +52,8 @@ class Follows(ThermalExpansion):
 
     @property
     def _names(self) -> dict[str, str]:
-        return super()._names | {"column": self.column}
+        now = _NOW if self.column.startswith((_LATE, _NOW)) else ""
+        return super()._names | {"column": self.column, "now": now}
 
     def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the column over its reference."""
@@ -100,4 +103,7 @@ def recorded_effects(columns: Sequence[str]) -> tuple[Effect, ...]:
 def recorded_effect(name: str) -> Effect | None:
     """The effect of this id, such as `follows_bed_z`; None if it is none of these."""
     found = _ID.fullmatch(name)
-    return None if found is None else (FollowsLate if found["late"] else Follows)(found["column"], found["axis"])
+    if found is None:
+        return None
+    effect = (FollowsLate if found["when"] == _LATE else Follows)(found["column"], found["axis"])
+    return effect if effect.id == name else None
