@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 # Readings that the model leaves of a part below which its scatter cannot be judged.
 _LEAST_LEFT = 0.5
-# Share of its squares that the model leaves a column, below which it takes it up.
-_LEAST_OUTSIDE = 1e-6
 # Products of readings and values of a label beyond which these are not distinguished.
 _MOST_COMPARED = 2e7
 _POSITIONS = ("x", "y", "z", "a", "b", "c")
@@ -328,7 +326,7 @@ def _parts(fit: Fit, each: pd.DataFrame, along: Mapping[str, Array]) -> pd.DataF
         centred = member * (time - (weights @ time)[:, None])
         squares = np.einsum("kn,kn->k", centred, centred)
         weights = np.concatenate([weights, centred / np.where(squares > 0.0, squares, 1.0)[:, None]])
-    sums = _sums(fit, weights)
+    sums = residual_sums(fit, weights)
     for k, name in enumerate(("mean", "slope")[: len(weights) // len(parts)]):
         own = slice(k * len(parts), (k + 1) * len(parts))
         parts[name], parts[f"{name}_u"] = sums.value[own], fit.joint.birge_ratio * sums.uncertainty[own]
@@ -366,7 +364,7 @@ def _approaches(fit: Fit) -> pd.DataFrame:
             found.append((axis, forward, backward, bool(np.abs(along).max() > LEAST_SENSITIVITY / 2)))
             weights += [np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0)), along]
     out = pd.DataFrame(found, columns=["axis", "forward", "backward", "seen"])
-    sums, seen = _sums(fit, np.reshape(weights, (-1, len(readings)))), out.pop("seen").astype(bool)
+    sums, seen = residual_sums(fit, np.reshape(weights, (-1, len(readings)))), out.pop("seen").astype(bool)
     scatter, p_value = _beside(fit, sums)
     out["difference"], out["difference_u"] = sums.value[::2], (scatter * sums.uncertainty)[::2]
     for name, values in (("", sums.added), ("_u", scatter * sums.added_uncertainty)):
@@ -383,22 +381,13 @@ def _trends(fit: Fit, along: Mapping[str, Array]) -> pd.DataFrame:
     }
     centred = np.reshape([values - values.mean() for values in chosen.values()], (-1, len(fit.residuals)))
     squares = np.einsum("kn,kn->k", centred, centred)
-    sums = _sums(fit, centred)
+    sums = residual_sums(fit, centred)
     scatter, p_value = _beside(fit, sums)
     out = pd.DataFrame({"covariate": [*chosen], "span": [float(np.ptp(values)) for values in chosen.values()]})
     out["slope"], out["slope_u"] = sums.value / squares, scatter * sums.uncertainty / squares
     out["added"], out["added_u"] = sums.added, scatter * sums.added_uncertainty
     out["p_value"] = p_value
     return out.sort_values("p_value", kind="stable", ignore_index=True)
-
-
-def _sums(fit: Fit, weights: Array) -> Sums:
-    """Sums of residuals; where readings count unequally the model may take up a column whole, and not its sum."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sums = residual_sums(fit, weights)
-    left = sums.added_uncertainty**-2 > _LEAST_OUTSIDE * (weights**2 @ fit.model.sigma**-2)
-    added = {name: np.where(left, getattr(sums, name), np.nan) for name in ("added", "added_uncertainty")}
-    return replace(sums, **added)
 
 
 def _beside(fit: Fit, sums: Sums) -> tuple[Array, Array]:

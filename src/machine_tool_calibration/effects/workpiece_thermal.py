@@ -10,7 +10,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-
 # Instruments that read the machine by a beam, a scale or an edge of their own, and no part.
 _OF_NO_PART = (
     *("laser_interferometer", "tracking_interferometer", "laser_tracker", "ball_bar"),

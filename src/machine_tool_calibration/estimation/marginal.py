@@ -29,8 +29,9 @@ NOTHING = 1e-12
 _LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4), 4: (0.4, 4.0, 3), 5: (0.6, 6.0, 2)}
 # A lattice goes on while its last size has more than this share of the evidence; more steps are rounding.
 _EDGE, _MOST_STEPS = 1e-3, 40
-# Share of the likeliest sizes' evidence from which sizes count in an average.
-_LEAST_WEIGHT = 1e-4
+# Share of the likeliest sizes' evidence from which sizes count in an average: of up to two families, and of more, of
+# which there are so many combinations that they take most of the time; U is the same to 2 %.
+_LEAST_WEIGHT, _LEAST_OF_MANY, _MANY = 1e-4, 1e-3, 3
 
 
 def log_size_prior(lattice: Array, scale: float = priors.IRREPRODUCIBILITY) -> Array:
@@ -208,7 +209,7 @@ LogEvidence = Callable[[tuple[float, ...], float], float]
 
 
 def size_grid(
-    gram: Gram, log_evidence: LogEvidence | None = None, share: float = _LEAST_WEIGHT, finer: int = 1
+    gram: Gram, log_evidence: LogEvidence | None = None, share: float | None = None, finer: int = 1
 ) -> list[tuple[tuple[float, ...], float, float]]:
     """Sizes of what does not reproduce that have a share of the evidence: combinations of one lattice for each family.
 
@@ -217,7 +218,7 @@ def size_grid(
     Args:
         gram: inner products.
         log_evidence: of sizes; that without any candidate if absent.
-        share: of the likeliest sizes' evidence, below which sizes are left out.
+        share: of the likeliest sizes' evidence, below which sizes are left out; that of an average if absent.
         finer: steps into which each step of the lattice is divided.
 
     Returns:
@@ -229,7 +230,8 @@ def size_grid(
         log_prior, left = left_at(spread, ratio, prior)
         return log_prior + float(gram.log_likelihood(left))
 
-    return _Sizes(gram, log_evidence or without_any, finer).with_share(share)
+    sizes = _Sizes(gram, log_evidence or without_any, finer)
+    return sizes.with_share(share or (_LEAST_WEIGHT if len(sizes.values) < _MANY else _LEAST_OF_MANY))
 
 
 class _Sizes:

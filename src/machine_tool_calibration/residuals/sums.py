@@ -38,8 +38,8 @@ def residual_sums(fit: Fit, weights: Array) -> Sums:
     # w as a column of the model: the sum with weights V^-1 w over that sum's variance; the same w only where V is even.
     if float(np.ptp(variance)) <= 1e-9 * float(variance.max()):
         return Sums(value, np.sqrt(own), value / own * variance[0], variance[0] / np.sqrt(own))
-    product, inner, _ = _screened(fit, weights, np.ones(1))
-    inner = np.where(seen, inner, np.nan)
+    product, inner, raw = _screened(fit, weights, np.ones(1))
+    inner = np.where(seen & (inner > _LEFT * raw), inner, np.nan)
     return Sums(value, np.sqrt(own), product / inner, 1.0 / np.sqrt(inner))
 
 

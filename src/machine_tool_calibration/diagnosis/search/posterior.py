@@ -36,7 +36,7 @@ _COUNTS, _COUNTS_AT_FIRST = 0.03, 0.3
 # Sizes of them that are looked at, those that any set makes likeliest: of eight families hundreds count. Families of
 # unknown size, with more of which pairs of effects are not tried for them; and with more of which half of the effects
 # are, as several sessions together have.
-_MOST_SIZES, _FAMILIES_OF_PAIRS, _FAMILIES_OF_ALL = 64, 3, 5
+_MOST_SIZES, _FAMILIES_OF_PAIRS, _FAMILIES_OF_ALL = 32, 3, 5
 # Best sets that are grown, and at first, where members are exchanged only if many are expected; pairs that are although
 # neither leads by itself; members at most, and where the machine itself is read, which holds many errors side by side.
 _GROWN, _GROWN_AT_FIRST, _PAIRS = 6, 2, 4
