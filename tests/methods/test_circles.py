@@ -487,3 +487,16 @@ def test_where_the_tool_may_have_stopped_for_each_reading_no_feed_is_told() -> N
     readings = simulated_circles(2).readings
     slow = {**readings.columns, "time": 1.5 * np.arange(len(readings))}
     assert np.isnan(way_over_time(replace(readings, columns=slow))).all()
+
+
+def test_circles_that_repeat_what_no_effect_does_are_unexplained() -> None:
+    """A form without any law, the same in both runs, is no noise with a memory."""
+    circles = Circles("XY", count=240)
+    form = np.cumsum(np.random.default_rng(5).normal(size=480)) / 8
+    session = circles.session(circles.length(np.outer(2e-6 * (form - form.mean()), [0.0, 1.0, 0.0])))
+    twice = session.readings.select(np.tile(np.arange(480), 2))
+    noise = SIGMA * np.random.default_rng(2).normal(size=960)
+    readings = replace(
+        twice, repeat=np.repeat([0, 1], 480), row=np.arange(960), displacement=twice.displacement + noise
+    )
+    assert diagnose(session.with_readings(readings)).verdict == "unexplained"

@@ -380,3 +380,14 @@ def test_what_every_station_sees_at_a_place_is_the_machine() -> None:
         aside[name] = find_outliers(session.with_readings(moved), _built)
     assert aside["every station"] == []
     assert {one.row for one in aside["one station"]} == set(readings.row[there & (readings.setup == 0)].tolist())
+
+
+@pytest.mark.parametrize("runs", [2, 5])
+def test_several_wrong_in_a_row_of_one_run_are_found_by_the_other_runs(runs: int) -> None:
+    """Of two runs nobody knows which of both is right, and what lasts may be the machine's."""
+    sound = plates.axis(3, noise=2e-7, declared=2e-7, wander=1e-6, runs=runs, terms=("EXX",))
+    displacement = sound.readings.displacement.copy()
+    displacement[14:19] += 5e-6
+    wrong = sound.with_readings(replace(sound.readings, displacement=displacement))
+    found = {one.row for one in find_outliers(wrong, _built)}
+    assert found == (set(range(14, 19)) if runs > 2 else set())

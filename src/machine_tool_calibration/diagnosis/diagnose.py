@@ -156,14 +156,16 @@ class Diagnosis:
         Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead, and so
         does that nothing has a pattern where nothing was repeated. What does not reproduce from run to run is no
         contradiction. Deviations that are read directly scatter as the part or the axis does, which nobody declares:
-        repeats tell how far, or what is left has a pattern and is no scatter.
+        repeats tell how far, or what is left has a pattern and is no scatter. Circles are of no part.
         """
         first, last, expected, known = self.fits[0].solution, self.fits[-1].solution, 1.0, np.inf
         repeats = self.noise.from_repeats
         if repeats is None and self.nothing >= priors.LIKELY:
             return False
-        if any(spec_of(session).reads_machine for session in self.chosen.sessions):
-            if not self.search.accepted or (repeats is None and not self.left):
+        direct = [spec for spec in map(spec_of, self.chosen.sessions) if spec.reads_machine]
+        if direct:
+            of_parts = not all(spec.centred for spec in direct)
+            if (of_parts and not self.search.accepted) or (repeats is None and not self.left):
                 return False
             if repeats is not None:
                 expected, known = (repeats / self.noise.counted) ** 2, self.noise.repeats

@@ -114,10 +114,9 @@ class Neighbours:
         """(k,) whether a reading is in a short stretch that jumps away and back, as while something is in the beam.
 
         Both sides of it are quiet, and most readings that were approached in the same way are outside: a course comes
-        and goes slowly, a reversal lasts as long as the direction. What reads the machine itself may find it so.
+        and goes slowly, a reversal lasts as long as the direction. What reads the machine itself may find it so, unless
+        it found the same places quiet in other runs.
         """
-        if self.of_machine:
-            return np.zeros(len(which), dtype=bool)
         along, values = self.run.near(which, residual, priors.BURST + 1)
         own = residual[which][:, None]
         alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
@@ -128,6 +127,10 @@ class Neighbours:
             ends &= (count < len(side)) & quiet[row, side[np.minimum(count, len(side) - 1)]]
             length += count
         shared = self.approached_alike[which] > 2 * length
+        if self.of_machine:
+            again = np.abs(self.repeats.near(which, residual)[1])
+            calm = again < np.maximum(priors.BESIDE_A_BURST * np.abs(own), priors.QUIET * noise)
+            shared &= (calm.sum(axis=1) >= priors.AGREEING) & (calm | np.isnan(again)).all(axis=1)
         return np.asarray(ends & (length <= priors.BURST) & shared & (np.abs(own[:, 0]) > priors.FAR_OUT * noise))
 
     def one_side(
