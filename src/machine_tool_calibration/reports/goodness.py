@@ -30,6 +30,8 @@ _SURE = 2.0
 _VAGUE = 0.01
 # Uncertainty over that of single readings from which it is the geometry that hardly determines a map.
 _WEAK = 3.0
+# Standard uncertainties of most places from which what readings are together off the map stands out.
+_FAR_OFF = 2.0
 
 
 def fit_words(reduced_chi_square: float, p_value: float) -> Said:
@@ -113,6 +115,19 @@ def vague_words(content: Mapping[str, Any], fit: JointFit) -> Iterator[Said]:
         largest, extent = K * float(np.nanmax(u)), float(np.ptp(places, axis=0).max())
         if largest > max(_VAGUE * extent, _WEAK * K * scatter) and extent > 0.0:
             yield say("fit.vague", U=quantity(largest, "m"), extent=f"{1e3 * extent:.4g} mm")
+
+
+def off_the_map_words(content: Mapping[str, Any]) -> Iterator[Said]:
+    """Which place has a far larger U than most, because its readings agree with each other and not with the map."""
+    off = np.array(content.get("off_the_map", ()), dtype=float)
+    u = np.array(content.get("position_error_u", ()), dtype=float)
+    if not off.any() or not np.isfinite(u).any():
+        return
+    far = np.flatnonzero(off > _FAR_OFF * np.nanmedian(u[u > 0.0]))
+    if len(far):
+        at = content["points"][far[np.argmax(off[far])]]
+        place = ", ".join(f"{axis} = {1e3 * value:.4g} mm" for axis, value in zip("xyz", at, strict=True))
+        yield say("fit.off_the_map", n=len(far), count=len(off), most=quantity(float(off.max()), "m"), place=place)
 
 
 def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:

@@ -15,7 +15,14 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result, fit_quality, map_rms, only_if_right, scatter_p_value
-from machine_tool_calibration.reports.goodness import effect_words, fit_words, free_words, scatter_words, vague_words
+from machine_tool_calibration.reports.goodness import (
+    effect_words,
+    fit_words,
+    free_words,
+    off_the_map_words,
+    scatter_words,
+    vague_words,
+)
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     as_exact,
@@ -198,6 +205,7 @@ def result_parts(
         yield say("result.not_determined_more", n=more)
     yield say("result.datum", datum=datum_words(document))
     yield from vague_words(document["error_map"] or {}, fit)
+    yield from off_the_map_words(document["error_map"] or {})
 
 
 def spread_words(document: Mapping[str, Any]) -> Iterator[str]:

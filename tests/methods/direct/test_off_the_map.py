@@ -8,6 +8,7 @@ from tests import plates
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.reports.goodness import off_the_map_words
 
 U = 3e-7
 
@@ -93,3 +94,19 @@ def test_a_second_wave_is_found_beside_the_first_and_none_where_there_is_none() 
     leads = {p.name: p.value for p in found.steps[-1].result.parameters if p.name.endswith(".lead")}
     assert leads == pytest.approx({"pitch_periodic_x.lead": 0.02, "second_periodic_x.lead": 0.0483}, rel=0.01)
     assert improve(scan(SMOOTH + first, X, 1)).accepted == ("pitch_periodic_x",)
+
+
+def test_a_place_that_is_off_the_map_is_named() -> None:
+    """A hole of a plate that two setups find at the same wrong place, which tables of the axes cannot follow."""
+    rng, (x, y) = np.random.default_rng(3), (axis.ravel() for axis in np.meshgrid(*[np.linspace(0.0, 0.3, 8)] * 2))
+    hole = np.where((x == x[19]) & (y == y[19]), 2e-5, 0.0)
+    columns = {"x": np.tile(x, 2), "y": np.tile(y, 2), "gx": np.zeros(128), "gy": np.zeros(128), "gz": np.ones(128)}
+    columns["displacement"] = np.tile(hole, 2) + 1e-6 * rng.normal(size=128)
+    setup = np.repeat([0, 1], 64).tolist()
+    found = identify(plates.session(columns, 1e-6, "offset", ["EZX", "EZY"], None, "A", "B", setup=setup))
+    content = found.error_map.content
+    (at,) = np.flatnonzero(content["off_the_map"] > 1e-5)
+    np.testing.assert_allclose(found.error_map.points[at, :2], [x[19], y[19]])
+    (says,) = off_the_map_words(content)
+    assert f"x = {1e3 * x[19]:.4g} mm" in says
+    assert not list(off_the_map_words({**content, "off_the_map": np.zeros(64)}))

@@ -332,9 +332,10 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     parts = without_open(field, common, (sensed & ~undetermined).reshape(-1))
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     # A restated fit says what other readings do, and these are off the map as they are.
+    off = np.zeros(len(points))
     if fit.joint.given is None:
         bend = between_nodes(model.tables, fit.theta[mine], points)
-        covariance = widened(covariance, bend, model, fit.residuals, state)
+        covariance, off = widened(covariance, bend, model, fit.residuals, state)
     # Where no term and no effect moves any place, nothing was asked of its error.
     error, uncertainty, covariance = determined_part(error, covariance, undetermined | ~sensed | (not field.any()))
     content: dict[str, Any] = {
@@ -343,6 +344,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error_u": uncertainty,
         "row": observations.readings.row[first],
         "approach": approach.T,
+        "off_the_map": off,
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
         "absolute": setups.kind == "none",
         "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,

@@ -28,8 +28,10 @@ _SPECTRUM = 8
 _BY_CHANCE = 0.05
 
 
-def widened(covariance: Array, bend: Array, model: MethodModel, residuals: Array, state: IntArray) -> Array:
-    """(p, 3, 3) covariances of the position errors of states, with what the map is off there.
+def widened(
+    covariance: Array, bend: Array, model: MethodModel, residuals: Array, state: IntArray
+) -> tuple[Array, Array]:
+    """(p, 3, 3) covariances of the position errors of states, with what the map is off there; (p,) that alone, m.
 
     Args:
         covariance: as the readings' noise makes it, m^2.
@@ -44,7 +46,7 @@ def widened(covariance: Array, bend: Array, model: MethodModel, residuals: Array
         np.maximum.at(out, state, np.abs(found[:, None] * observations.direction))
     covariance = covariance + np.eye(3) * (np.minimum(bend, most) ** 2)[:, :, None]
     further = (off**2 - np.einsum("nii->ni", covariance)).clip(0.0)
-    return np.asarray(covariance + np.eye(3) * further[:, :, None])
+    return covariance + np.eye(3) * further[:, :, None], np.sqrt(further.max(axis=1, initial=0.0))
 
 
 def _off_the_map(observations: Observations, residuals: Array, sigma: Array) -> tuple[Array, Array]:
