@@ -247,7 +247,9 @@ def _what_scatters(diagnosis: Diagnosis) -> Literal["repeats", "few", "scatter",
     noise, observed = diagnosis.noise, Pool(diagnosis.search.fit).observations
     if noise.as_read is None and noise.from_repeats is None:
         if any(read_in_several_setups(one) for one in observed) and not differ_by_setup(diagnosis.fits[-1].fits):
-            return "places"
+            # In several setups: what places have for themselves in all of them, against what is left beside that.
+            own, left = diagnosis.search.spread.get("place", np.inf), diagnosis.search.variance
+            return "places" if own**2 > left else "both"
         return "few" if any(len(np.unique(one.place)) < len(one) for one in observed) else "repeats"
     chi_square = diagnosis.fits[-1].reduced_chi_square
 
