@@ -104,7 +104,7 @@ def test_points_without_a_value_are_counted() -> None:
     error = [[1e-6, 2e-6, None], [1e-6, None, None], [0.0, 0.0, None]]
     document = {"used": 3, "observations": 3, "rms_residual": 0.0, "error_map": {"position_error": error}}
     rows = dict(summary_rows(document))
-    assert rows["position error"].endswith("; not determined along z; not determined at 1 of 3 points")
+    assert rows["position error"].endswith("; not determined along z; along y not at 1 of 3 points")
 
 
 def test_the_place_of_a_reading_set_aside_is_said_in_the_language() -> None:

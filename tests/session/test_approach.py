@@ -10,6 +10,7 @@ from tests import plates
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.session.approach import approaches
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import read_session
@@ -50,13 +51,38 @@ def test_nothing_moves_between_readings_of_one_place() -> None:
     session = line(np.repeat(PLACES, 3), np.repeat(PLACES[::-1], 3))
     sense = approaches(session)["dir_x"]
     np.testing.assert_array_equal(sense[:27], 1.0)
-    np.testing.assert_array_equal(sense[30:], -1.0)
+    np.testing.assert_array_equal(sense[27:], -1.0)
 
 
 def test_what_was_set_aside_was_on_the_way() -> None:
     session = line(PLACES, PLACES[::-1])
     gone = np.isin(np.arange(18), [8, 12])
     np.testing.assert_array_equal(approaches(session.without(gone))["dir_x"], approaches(session)["dir_x"][~gone])
+
+
+def test_a_pass_ends_where_a_place_is_read_twice_as_often() -> None:
+    session = line(np.repeat(PLACES, 3), np.repeat(PLACES[::-1], 3))
+    np.testing.assert_array_equal(approaches(session)["dir_x"], np.repeat([1.0, -1.0], 27))
+
+
+def test_what_goes_back_all_the_way_begins_a_run() -> None:
+    session = line(PLACES, PLACES, PLACES[::-1], PLACES[::-1])
+    np.testing.assert_array_equal(approaches(session)["dir_x"], np.repeat([1.0, -1.0], 18))
+
+
+def test_runs_along_several_axes_and_readings_without_a_position() -> None:
+    """What stands in a setup has no sense there; a column that says nothing is as one that is not there."""
+    runs, still = np.tile(np.concatenate([PLACES, PLACES[::-1]]), 2), np.zeros(36)
+    columns = {"x": np.append(runs, still), "y": np.append(still, runs), "dir_x": np.zeros(72)}
+    columns |= {"gx": np.repeat([1.0, 0.0], 36), "gy": np.repeat([0.0, 1.0], 36), "gz": np.zeros(72)}
+    columns["x"][5] = np.nan
+    setup = np.repeat([0, 1], 36).tolist()
+    session = plates.session(
+        columns | {"displacement": np.zeros(72)}, 1e-6, "offset", ["EXX"], None, "X", "Y", setup=setup
+    )
+    found, sense = approaches(session), np.tile(np.repeat([1.0, -1.0], 9), 2)
+    np.testing.assert_array_equal(found["dir_x"], np.where(np.isnan(columns["x"]), 0.0, np.append(sense, still)))
+    np.testing.assert_array_equal(found["dir_y"], np.append(still, sense))
 
 
 @pytest.mark.parametrize("folder", ["rotary_axis", "tracking_2d"])
@@ -93,3 +119,12 @@ def test_a_reversal_without_recorded_senses() -> None:
     found, known = diagnose(session), diagnose(recorded)
     assert found.accepted == known.accepted == ("backlash_x",)
     assert found.search.of("backlash_x").sizes == known.search.of("backlash_x").sizes
+
+
+def test_advice_is_given_where_readings_were_set_aside() -> None:
+    session = line(*[PLACES, PLACES[::-1]] * 4, lost=5e-6)
+    displacement = session.readings.displacement.copy()
+    displacement[20] += 1e-4
+    found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)))
+    assert [one.row for one in found.gross_errors] == [20] and found.accepted == ("backlash_x",)
+    assert what_to_measure(found).dominant is not None

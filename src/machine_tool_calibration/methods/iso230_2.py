@@ -294,7 +294,7 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
     elif recorded is not None and np.isin(recorded[mine], (-1.0, 1.0)).all():
         return target, recorded[mine] * np.sign(line[leading]), deviation
     elsewhere = np.diff(group, prepend=-1) != 0
-    return target, senses(group, elsewhere, again | begins_run(readings.repeat[mine], elsewhere)), deviation
+    return target, senses(group, elsewhere, again | begins_run(group, readings.repeat[mine], elsewhere)), deviation
 
 
 def _runs(targets: Array, position: Array, deviation: Array, mine: BoolArray) -> Array:

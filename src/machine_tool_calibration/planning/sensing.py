@@ -100,7 +100,7 @@ def appended(session: Session, changed: Changed, setup: IntArray, description: D
     if spec_of(session).counts_from_run:
         first = first_of_group(new.setup, new.repeat, *(new.labels[n] for n in ("target",) if n in new.labels))
         new = replace(new, displacement=new.displacement - new.displacement[first])
-    whole = replace(session, description=description, readings=joined([old, new]))
+    whole = replace(session, description=description).with_readings(joined([old, new]))
     return {"session": whole, "first_row": first_row, "seconds": seconds}
 
 

@@ -118,13 +118,15 @@ def _rms_and_most(sizes: Iterable[str]) -> Said:
 
 
 def _lost(text: Said, error: np.ndarray) -> Said:
-    """The text with directions in which no point has a value, and how many points lack one in the others."""
+    """The text with directions in which no point has a value, and at how many points each of the others has none."""
     known = np.isfinite(error)
     lost = [axis for axis, any_known in zip("xyz", known.any(axis=0), strict=False) if not any_known]
-    partly = int((~known[:, known.any(axis=0)]).any(axis=1).sum())
     if lost:
         text = say("result.lost_along", text=text, names=", ".join(lost))
-    return say("result.lost_at", text=text, n=partly, count=len(error)) if partly else text
+    for axis, missing in zip("xyz", (~known).sum(axis=0).tolist(), strict=False):
+        if missing and axis not in lost:
+            text = say("result.lost_at", text=text, axis=axis, n=missing, count=len(error))
+    return text
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, groups, means_of
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, groups, means_of, occurrence
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
@@ -14,6 +14,8 @@ _SAME_TARGET = 1e-5
 # Share of a place's readings that came from its rarer side, from which it counts as read from either, and share of the
 # readings at such places from which this was meant: in any order there are some.
 _RARER, _EITHER = 0.2, 0.5
+# Share of the positions by which an axis goes back all the way.
+_ALL_THE_WAY = 0.5
 
 
 def in_steps(position: Array) -> IntArray:
@@ -24,12 +26,19 @@ def in_steps(position: Array) -> IntArray:
     return number
 
 
-def begins_run(repeat: IntArray, elsewhere: BoolArray) -> BoolArray:
-    """(n,) whether a reading is the first of a run, by its repeat and whether its place is another than that before."""
+def begins_run(along: IntArray, repeat: IntArray, elsewhere: BoolArray) -> BoolArray:
+    """(n,) whether a reading along a line is the first of a run: by its repeat, or as the axis went back all the way.
+
+    Args:
+        along: (n,) numbers of the axis's positions, ascending.
+        repeat: (n,) which repeat a reading belongs to.
+        elsewhere: (n,) whether its place is another than that before.
+    """
     counted = np.diff(repeat, prepend=-1) != 0
     if 2 * np.count_nonzero(counted & ~elsewhere) > len(repeat):
         counted[1:] = False  # repeats of readings where the axis stands, and not of runs
-    return np.asarray(counted)
+    step = np.abs(np.diff(along, prepend=along[:1]))
+    return np.asarray(counted | (step > max(_ALL_THE_WAY * along.max(initial=0), 1)))
 
 
 def senses(along: IntArray, elsewhere: BoolArray, begins: BoolArray) -> Array:
@@ -45,41 +54,58 @@ def senses(along: IntArray, elsewhere: BoolArray, begins: BoolArray) -> Array:
     """
     step = np.sign(np.diff(along))
     move, changes = np.where(begins, 0.0, np.r_[0.0, step]), np.flatnonzero(step)
-    stay = np.cumsum(begins | elsewhere)
+    stay = np.cumsum(begins | elsewhere, dtype=np.int64)
     dwells = len(stay) >= 2 * stay[-1]
     following = np.r_[step[changes], 0.0][np.searchsorted(changes, np.arange(len(along)))]
     for k in np.flatnonzero(move == 0.0):
         before = move[k - 1] if k else 0.0
         turns = begins[k] or not (elsewhere[k] or dwells) or before == 0.0
         move[k] = (following[k] or -before) if turns else before
-    return np.asarray(move[first_of_group(stay)] if dwells else move)
+    if not dwells:
+        return np.asarray(move)
+    move = move[first_of_group(stay)]
+    # Where a pass ends the next one begins: the later ones of twice as many readings as elsewhere.
+    number, count = occurrence(stay), np.bincount(stay)
+    late = 2 * number >= count[stay]
+    return np.where(late & (2 * count[stay] >= 3 * np.median(count[count > 0])) & (following != 0), following, move)
 
 
 def approaches(session: Session) -> Mapping[str, Array]:
     """Columns `dir_*` of axes whose senses of approach were not recorded, where they came to places from either side.
 
-    An axis that stood all through a setup has none there. A probe goes back before it approaches. What was set aside
-    was on the way all the same.
+    An axis that stood all through a setup has none there, and none has a reading without a position. A probe goes back
+    before it approaches. What was set aside was on the way all the same.
     """
-    readings, out = session.as_recorded.readings, dict[str, Array]()
-    position = {axis: readings.columns[axis] for axis in "xyzabc" if axis in readings.columns}
-    lacking = [axis for axis in position if f"dir_{axis}" not in readings.columns]
-    if spec_of(session).probes_surface or not all(np.isfinite(values).all() for values in position.values()):
+    whole, out = session.as_recorded.readings, dict[str, Array]()
+    kept = np.isin(whole.row, session.readings.row)
+    if kept.sum() != len(session.readings):
+        whole, kept = session.readings, np.ones(len(session.readings), dtype=bool)
+    position = {axis: whole.columns[axis] for axis in "xyzabc" if axis in whole.columns}
+    lacking = [axis for axis in position if not np.nan_to_num(whole.columns.get(f"dir_{axis}", np.zeros(1))).any()]
+    known = np.isfinite(np.array([np.zeros(len(whole)), *position.values()])).all(axis=0)
+    if spec_of(session).probes_surface or not lacking or not known.any():
         return out
-    steps = {axis: in_steps(values) for axis, values in position.items() if lacking and len(values)}
+    readings = whole.select(known)
+    steps = {axis: in_steps(values[known]) for axis, values in position.items()}
     place = groups(readings.setup, *steps.values())
-    kept = np.isin(readings.row, session.readings.row)
-    setups = [np.flatnonzero(readings.setup == setup) for setup in np.unique(readings.setup)]
-    for axis in lacking if steps else ():
+    moved = np.diff(place, prepend=-1) != 0
+    if sum(own.any() for own in steps.values()) < 2:
+        place = groups(*steps.values())  # a line may have a setup each way
+    for axis in lacking:
         sense = np.zeros(len(readings))
-        for mine in setups:
-            elsewhere = np.diff(place[mine], prepend=-1) != 0
+        for setup in np.unique(readings.setup):
+            mine = np.flatnonzero(readings.setup == setup)
             # Along a line a run turns beyond its end; of several axes each stays where it is.
             line = sum(np.ptp(own[mine]) > 0 for own in steps.values()) < 2
-            begins = begins_run(readings.repeat[mine], elsewhere) if line else np.arange(len(mine)) == 0
-            sense[mine] = senses(steps[axis][mine], elsewhere | (not line), begins)
+            begins = np.arange(len(mine)) == 0
+            if line:
+                begins |= begins_run(steps[axis][mine], readings.repeat[mine], moved[mine])
+            sense[mine] = senses(steps[axis][mine], moved[mine] | (not line), begins)
         # Of the share that moved, less that by which one side is the more frequent: twice that of the rarer side.
-        mean, moved = means_of(place, sense), means_of(place, np.abs(sense))
-        if np.mean(moved - np.abs(mean) >= 2.0 * _RARER) >= _EITHER:
-            out[f"dir_{axis}"] = sense[kept]
+        mean, share = means_of(place, sense), means_of(place, np.abs(sense))
+        either = share - np.abs(mean) >= 2.0 * _RARER
+        if np.any(sense) and np.mean(either[sense != 0.0]) >= _EITHER:
+            filled = np.zeros(len(whole))
+            filled[known] = sense
+            out[f"dir_{axis}"] = filled[kept]
     return out

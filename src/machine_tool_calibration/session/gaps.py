@@ -69,7 +69,10 @@ def without_gaps(session: Session) -> Session:
     """The session with such columns filled, and with directions of approach that were not recorded."""
     columns = session.readings.columns
     more = {**filled(columns), **approaches(session)}
-    return replace(session, readings=replace(session.readings, columns={**columns, **more})) if more else session
+    if not more:
+        return session
+    readings = replace(session.readings, columns={**columns, **more})
+    return replace(session, readings=readings, recorded=session.as_recorded)
 
 
 def _across_gaps(time: Array, value: Array) -> Array | None:
