@@ -77,6 +77,19 @@ def test_what_is_not_determined_is_flagged(fit: mtcal.Fit) -> None:
     assert np.isnan(fit.error_at([9.0, 0.0, 0.0])[0]).all()
 
 
+def test_runs_along_two_axes_are_known_along_themselves(tmp_path: Path) -> None:
+    (tmp_path / "session.yaml").write_text(
+        "format: mtcal-session/1\nmethod: direct\nmachine: {chain: w-Y-X-b-t}\ndatum: none\nterms: [EXX, EYY]\n"
+        "standard_uncertainty: {displacement: 1e-6}\nsetups: [{id: X}, {id: Y}]\n"
+    )
+    rows = [f"X,{0.1 * k},0,1,0,0,{k % 5}e-6" for k in (0, 1, 2, 3, 3, 2, 1, 0)]
+    rows += [f"Y,0,{0.1 * k},0,1,0,{k % 5}e-6" for k in (0, 1, 2, 3, 3, 2, 1, 0)]
+    (tmp_path / "observations.csv").write_text("setup,x,y,gx,gy,gz,displacement\n" + "\n".join(rows) + "\n")
+    error, u = mtcal.identify(mtcal.load(tmp_path)).error_at([[0.15, 0.0, 0.0], [0.0, 0.15, 0.0], [0.1, 0.1, 0.0]])
+    np.testing.assert_allclose(error[:2, :2], [[1.5e-6, np.nan], [np.nan, 1.5e-6]], atol=1e-9)
+    assert np.isnan(error[2]).all() and np.isfinite(u[0, 0]) and np.isnan(u[0, 1:]).all()
+
+
 @pytest.mark.long
 def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal.Fit) -> None:
     bend = mtcal.Effect(

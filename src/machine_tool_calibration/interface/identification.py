@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
@@ -176,6 +177,10 @@ class Fit(Answer):
         """
         found = self.result.error_map
         error, u = error_map_from_points(found.points, found.error, found.uncertainty)(position)
+        for j, known in enumerate(np.isfinite(found.error).T):
+            if known.any() and not known.all():  # runs along several axes: each is known along itself
+                own = error_map_from_points(found.points[known], found.error[known], found.uncertainty[known])(position)
+                error[..., j], u[..., j] = own[0][..., j], own[1][..., j]
         return error, u
 
     @property
