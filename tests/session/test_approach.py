@@ -85,6 +85,24 @@ def test_runs_along_several_axes_and_readings_without_a_position() -> None:
     np.testing.assert_array_equal(found["dir_y"], np.append(still, sense))
 
 
+def test_rows_of_a_plate_by_turns_from_either_side() -> None:
+    """Each place is read from one side, and each position of X from both; rows that all begin at one side are not."""
+    rows, x = np.repeat(PLACES, 9), np.concatenate([PLACES[:: (-1) ** k] for k in range(9)])
+    columns = {
+        "x": x,
+        "y": rows,
+        "gx": np.ones(81),
+        "gy": np.zeros(81),
+        "gz": np.zeros(81),
+        "displacement": np.zeros(81),
+    }
+    found = approaches(plates.session(columns, 1e-6, "offset", ["EXX"]))
+    assert set(found) == {"dir_x"}
+    inside = (x > 0.0) & (x < 0.4)
+    np.testing.assert_array_equal(found["dir_x"][inside], np.repeat((-1.0) ** np.arange(9), 9)[inside])
+    assert not approaches(plates.session({**columns, "x": np.tile(PLACES, 9)}, 1e-6, "offset", ["EXX"]))
+
+
 @pytest.mark.parametrize("folder", ["rotary_axis", "tracking_2d"])
 def test_what_was_recorded_is_inferred(folder: str) -> None:
     session = read_session(DATA / folder)

@@ -11,8 +11,8 @@ from machine_tool_calibration.session.session import Session
 
 # Positions that are nearer to each other are one, m or rad.
 _SAME_TARGET = 1e-5
-# Share of a place's readings that came from its rarer side, from which it counts as read from either, and share of the
-# readings at such places from which this was meant: in any order there are some.
+# Share of a position's readings that came from its rarer side, from which it counts as read from either, and share of
+# the readings at such positions from which this was meant: in any order there are some.
 _RARER, _EITHER = 0.2, 0.5
 # Share of the positions by which an axis goes back all the way.
 _ALL_THE_WAY = 0.5
@@ -71,7 +71,7 @@ def senses(along: IntArray, elsewhere: BoolArray, begins: BoolArray) -> Array:
 
 
 def approaches(session: Session) -> Mapping[str, Array]:
-    """Columns `dir_*` of axes whose senses of approach were not recorded, where they came to places from either side.
+    """Columns `dir_*` of axes whose senses of approach were not recorded, where positions were read from either side.
 
     An axis that stood all through a setup has none there, and none has a reading without a position. A probe goes back
     before it approaches. What was set aside was on the way all the same.
@@ -87,10 +87,9 @@ def approaches(session: Session) -> Mapping[str, Array]:
         return out
     readings = whole.select(known)
     steps = {axis: in_steps(values[known]) for axis, values in position.items()}
-    place = groups(readings.setup, *steps.values())
-    moved = np.diff(place, prepend=-1) != 0
-    if sum(own.any() for own in steps.values()) < 2:
-        place = groups(*steps.values())  # a line may have a setup each way
+    moved = np.diff(groups(readings.setup, *steps.values()), prepend=-1) != 0
+    # A line may have a setup each way.
+    several = readings.setup * (sum(own.any() for own in steps.values()) > 1)
     for axis in lacking:
         sense = np.zeros(len(readings))
         for setup in np.unique(readings.setup):
@@ -102,7 +101,8 @@ def approaches(session: Session) -> Mapping[str, Array]:
                 begins |= begins_run(steps[axis][mine], readings.repeat[mine], moved[mine])
             sense[mine] = senses(steps[axis][mine], moved[mine] | (not line), begins)
         # Of the share that moved, less that by which one side is the more frequent: twice that of the rarer side.
-        mean, share = means_of(place, sense), means_of(place, np.abs(sense))
+        at = groups(several, steps[axis])
+        mean, share = means_of(at, sense), means_of(at, np.abs(sense))
         either = share - np.abs(mean) >= 2.0 * _RARER
         if np.any(sense) and np.mean(either[sense != 0.0]) >= _EITHER:
             filled = np.zeros(len(whole))

@@ -16,6 +16,7 @@ from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
 from machine_tool_calibration.model import rigid_body
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
+from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.words import say, together
 
@@ -123,7 +124,7 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
     if not every or not common.tables:
         return np.zeros((0, 3))
     places = np.concatenate(every) + 0.0
-    first = np.unique(np.round(places, 9), axis=0, return_index=True)[1]
+    first = np.unique(np.round(places / SAME_POSITION), axis=0, return_index=True)[1]
     return np.asarray(places[first[:: -(-len(first) // _MOST_POINTS)]])
 
 
