@@ -223,8 +223,21 @@ def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Arra
     return error, np.einsum("knd,kl,lne->nde", field, covariance, field, optimize=True)
 
 
+OPEN_CHANGE = 1e-9
+"""Change with an undetermined direction of unit length from which a position error is not determined itself, m."""
+
 OPEN_SHARE = 1e-6
 """Share of the largest displacement by what is open below which one is rounding, such as that of nodes' positions."""
+
+
+def unit_open(columns: Array, inside: BoolArray) -> Array:
+    """(3 n, q) unit displacements of all points by what is open, without those that are rounding where it counts.
+
+    From displacements (3 n, m), whose lengths are over the components of the points that are `inside` (3 n).
+    """
+    size = np.linalg.norm(columns[inside], axis=0)
+    moves = size > max(OPEN_CHANGE, OPEN_SHARE * float(size.max(initial=0.0)))
+    return np.asarray(columns[:, moves] / size[moves])
 
 
 def without_open(moved: Array, open_: Array, inside: BoolArray) -> Array:
@@ -238,10 +251,6 @@ def without_open(moved: Array, open_: Array, inside: BoolArray) -> Array:
     whole = moved.reshape(len(moved), -1)
     taken = open_ @ np.linalg.lstsq(open_[inside], whole.T[inside], rcond=OPEN_SHARE)[0]
     return np.asarray(whole - taken.T).reshape(moved.shape)
-
-
-OPEN_CHANGE = 1e-9
-"""Change with an undetermined direction of unit length from which a position error is not determined itself, m."""
 
 
 def determined_part(error: Array, covariance: Array, undetermined: BoolArray) -> tuple[Array, Array, Array]:

@@ -77,28 +77,26 @@ def approaches(session: Session) -> Mapping[str, Array]:
     before it approaches. What was set aside was on the way all the same.
     """
     whole, out = session.as_recorded.readings, dict[str, Array]()
-    kept = np.isin(whole.row, session.readings.row)
-    if kept.sum() != len(session.readings):
-        whole, kept = session.readings, np.ones(len(session.readings), dtype=bool)
     position = {axis: whole.columns[axis] for axis in "xyzabc" if axis in whole.columns}
     lacking = [axis for axis in position if not np.nan_to_num(whole.columns.get(f"dir_{axis}", np.zeros(1))).any()]
-    known = np.isfinite(np.array([np.zeros(len(whole)), *position.values()])).all(axis=0)
-    if spec_of(session).probes_surface or not lacking or not known.any():
+    if spec_of(session).probes_surface or not lacking:
         return out
-    readings = whole.select(known)
-    steps = {axis: in_steps(values[known]) for axis, values in position.items()}
-    moved = np.diff(groups(readings.setup, *steps.values()), prepend=-1) != 0
+    known = np.isfinite(np.array([*position.values()])).all(axis=0)
+    kept = np.isin(whole.row, session.readings.row)
+    setup = whole.setup[known]
+    steps = {axis: in_steps(values[known]) for axis, values in position.items() if known.any()}
+    moved = np.diff(groups(setup, *steps.values()), prepend=-1) != 0
     # A line may have a setup each way.
-    several = readings.setup * (sum(own.any() for own in steps.values()) > 1)
-    for axis in lacking:
-        sense = np.zeros(len(readings))
-        for setup in np.unique(readings.setup):
-            mine = np.flatnonzero(readings.setup == setup)
-            # Along a line a run turns beyond its end; of several axes each stays where it is.
-            line = sum(np.ptp(own[mine]) > 0 for own in steps.values()) < 2
+    several = setup * (sum(own.any() for own in steps.values()) > 1)
+    setups = [np.flatnonzero(setup == one) for one in np.unique(setup)]
+    # Along a line a run turns beyond its end; of several axes each stays where it is.
+    lines = [sum(np.ptp(own[mine]) > 0 for own in steps.values()) < 2 for mine in setups]
+    for axis in lacking if steps else ():
+        sense = np.zeros(len(setup))
+        for mine, line in zip(setups, lines, strict=True):
             begins = np.arange(len(mine)) == 0
             if line:
-                begins |= begins_run(steps[axis][mine], readings.repeat[mine], moved[mine])
+                begins |= begins_run(steps[axis][mine], whole.repeat[known][mine], moved[mine])
             sense[mine] = senses(steps[axis][mine], moved[mine] | (not line), begins)
         # Of the share that moved, less that by which one side is the more frequent: twice that of the rarer side.
         at = groups(several, steps[axis])

@@ -51,6 +51,7 @@ from machine_tool_calibration.model.rigid_body import (
     read_nodes,
     table_datum,
     tables_content,
+    unit_open,
     without_open,
 )
 from machine_tool_calibration.session.description import Direct
@@ -328,8 +329,10 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     mine = slice(own, own + len(field))
     open_ones = fit.solution.undetermined_directions()[fit.places][mine]
     undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
+    inside = (sensed & ~undetermined).reshape(-1)
     common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction, sensed)
-    parts = without_open(field, common, (sensed & ~undetermined).reshape(-1))
+    common = unit_open(common, inside)
+    parts = without_open(field, common, inside)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     # A restated fit says what other readings do, and these are off the map as they are.
     off = np.zeros(len(points))
@@ -397,7 +400,7 @@ def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]
 
 
 def _common(tables: Array, setups: datum.SetupDatum, points: Array, direction: Array, sensed: BoolArray) -> Array:
-    """(3 n, q) unit displacements of all points that the setups leave open, in the directions that are read (n, 3)."""
+    """(3 n, q) displacements of all points that the setups leave open, in the directions that are read (n, 3)."""
     n = len(points)
     parts = [tables]
     if setups.kind == "rigid":
@@ -405,6 +408,4 @@ def _common(tables: Array, setups: datum.SetupDatum, points: Array, direction: A
         parts.append((moved * sensed[..., None]).reshape(3 * n, 6))
     elif setups.kind == "offset" and np.allclose(np.abs(direction @ direction[0]), 1.0, atol=1e-9):
         parts.append((direction[0] * sensed).reshape(3 * n, 1))
-    common = np.concatenate(parts, axis=1)
-    size = np.linalg.norm(common, axis=0)
-    return np.asarray(common[:, size > 1e-9] / size[size > 1e-9])
+    return np.concatenate(parts, axis=1)

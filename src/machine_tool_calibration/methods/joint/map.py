@@ -53,9 +53,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
     inside = ~(beyond | _of_unread(field, silent)).reshape(-1)
     fixed = [common.fixed[label] for table in common.tables for label in table.labels]
     open_ = field.reshape(len(field), 3 * n).T @ np.array(fixed) if fixed else np.zeros((3 * n, 0))
-    size = np.linalg.norm(open_[inside], axis=0)
-    moves = size > rigid_body.OPEN_SHARE * size.max(initial=0.0)
-    open_ = open_[:, moves] / size[moves]
+    open_ = rigid_body.unit_open(open_, inside)
 
     field = rigid_body.without_open(field, open_, inside)
     theta, own = solution.theta[index], solution.covariance[np.ix_(index, index)]
