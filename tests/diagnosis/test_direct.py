@@ -21,6 +21,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.result import effect_estimates
+from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.residuals.noise import noise_of
@@ -507,6 +508,16 @@ def test_what_is_refused_for_having_no_size_is_not_likely() -> None:
     unsure = replace(found, accepted=(), refused={name: say("undetermined.not_predicted", what="")})
     assert name in unsure.likely
     assert name not in replace(unsure, refused={name: say("undetermined.no_size")}).likely
+
+
+def test_a_probable_effect_without_a_size_may_be_there_beside_those_found() -> None:
+    """One that left-out readings speak against may not; nor does one widen a model in which nothing was found."""
+    found = diagnose(axis_both_ways(2, 3, half_width=2e-6))
+    name, share = found.accepted[0], found.search.of(found.accepted[0]).probability
+    beside = replace(found, accepted=("linear_drift",), refused={name: say("undetermined.no_size_beside")})
+    assert beside.alternatives[BESIDE] == {name: round(share, 2)}
+    assert BESIDE not in replace(beside, refused={name: say("undetermined.not_predicted", what="")}).alternatives
+    assert not replace(beside, accepted=()).alternatives
 
 
 def after_strokes(seed: int, moved: float) -> Session:

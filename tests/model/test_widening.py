@@ -12,6 +12,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.model.fit import changed
 from machine_tool_calibration.model.result import effect_signal
+from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.session.session import Session
 
 from ..plates import session
@@ -58,6 +59,18 @@ def test_what_is_predicted_is_off_by_what_the_model_cannot_take_up() -> None:
         for fit in (plain, wider)
     )
     assert after == pytest.approx(before + 0.4 * left**2, rel=1e-6)
+
+
+@pytest.mark.usefixtures("reproducible")
+def test_what_may_be_there_beside_all_effects_changes_the_readings_by_itself() -> None:
+    asked = FitRequest((drifting(),), effects=("linear_drift",))
+    plain = fit_sessions(asked).joint
+    wider = fit_sessions(replace(asked, alternatives={BESIDE: {"warmup_x": 0.4}})).joint
+    signal = effect_signal(fit_sessions(asked.adding(["warmup_x"])).joint, "warmup_x")[0]
+    moved = changed(plain, [signal]).published.theta - plain.solution.theta
+    grown = np.diag(plain.published.covariance) + 0.4 * moved**2
+    assert np.diag(wider.published.covariance) == pytest.approx(grown, rel=1e-6)
+    assert np.max(grown / np.diag(plain.published.covariance)) > 1.5
 
 
 def test_what_has_no_place_in_the_data_is_no_alternative() -> None:

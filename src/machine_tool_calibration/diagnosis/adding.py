@@ -191,6 +191,11 @@ def without_size(why: str) -> bool:
     return isinstance(why, Said) and why.key in _CHANGE_NOTHING
 
 
+def zero_is_open(why: str | None) -> bool:
+    """Whether an effect that is not added may be there: it was not refused, or as its size may be zero."""
+    return why is None or (isinstance(why, Said) and why.key in ("undetermined.no_size", "undetermined.no_size_beside"))
+
+
 def _chi_square(fit_with: Callable[[tuple[str, ...]], FittedSessions], names: Iterable[str]) -> float:
     return fit_with(tuple(names)).joint.solution.chi_square
 

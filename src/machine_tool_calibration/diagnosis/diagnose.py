@@ -17,6 +17,7 @@ from machine_tool_calibration.diagnosis.adding import (
     better_special_cases,
     explain_nearly_all,
     without_size,
+    zero_is_open,
 )
 from machine_tool_calibration.diagnosis.search.candidates import (
     Candidate,
@@ -44,6 +45,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, 
 from machine_tool_calibration.model.fit import JointFit, changed, declared
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import map_change, map_rms
+from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
@@ -106,7 +108,10 @@ class Diagnosis:
 
     @cached_property
     def alternatives(self) -> dict[str, dict[str, float]]:
-        """By effect found, which look-alikes it may as well be, each with its probability among them."""
+        """By effect found, which look-alikes it may as well be, each with its probability among them.
+
+        By no name (`BESIDE`), which others may be there, though nothing excludes that their size is zero.
+        """
         out = {}
         for group in self.search.groups:
             own = [name for name in group if name in self.accepted]
@@ -117,7 +122,10 @@ class Diagnosis:
             shares = {f.name: round(f.probability / whole, 2) for f in some if f.plausible and f.name not in own}
             if others := {name: share for name, share in shares.items() if share > priors.MAY_BE}:
                 out[own[0]] = others
-        return out
+        told = {*self.accepted, *(name for others in out.values() for name in others)}
+        open_ = [f for f in self.search.findings if f.probability >= priors.LIKELY and f.name not in told]
+        beside = {f.name: round(f.probability, 2) for f in open_ if zero_is_open(self.refused.get(f.name))}
+        return out | {BESIDE: beside} if self.accepted and beside else out
 
     @cached_property
     def with_found(self) -> FittedSessions:

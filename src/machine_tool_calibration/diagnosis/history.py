@@ -57,7 +57,7 @@ class Entry(Record):
     sessions: tuple[Part, ...] = ()  # those that were fitted together; empty for one session
     effects: tuple[str, ...] = ()  # ids of the effects that were added to it
     own: tuple[dict[str, Any], ...] = ()  # definitions of those of them that are the user's own by formula
-    # by effect, which others it may as well be, each with its probability
+    # by effect, which others it may as well be, and by no name, which may be there beside all; with their probabilities
     alternatives: dict[str, dict[str, Share]] = Field(default_factory=dict)
     change: str = ""  # what it has and its parent has not, in a few words
     data: str  # fingerprint of the readings; another one means other readings
@@ -76,9 +76,9 @@ class Entry(Record):
     @model_validator(mode="after")
     def _check(self) -> Entry:
         for effect, others in self.alternatives.items():
-            if effect not in self.effects or others.keys() & {*self.effects}:
+            if effect not in ("", *self.effects) or others.keys() & {*self.effects}:
                 raise ValueError(f"alternatives of {effect}: of an effect in the model others may be true that are not")
-            if sum(others.values()) > 1.0:
+            if effect and sum(others.values()) > 1.0:
                 raise ValueError(f"alternatives of {effect}: their probabilities sum to more than 1")
         return self
 

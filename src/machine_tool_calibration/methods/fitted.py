@@ -25,7 +25,7 @@ from machine_tool_calibration.methods.joint.small_angles import published_angles
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, effect_signal, map_rms
-from machine_tool_calibration.model.widening import Alternatives
+from machine_tool_calibration.model.widening import BESIDE, Alternatives
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.places import has_stations, refuse_misplaced
@@ -49,7 +49,8 @@ class FitRequest:
     own: tuple[Effect, ...] = ()  # the user's own effects, beside the catalogue
     # use all readings; otherwise those that stand out of all others of their session are set aside
     keep_all: bool = False
-    # by effect in the model, which others it may as well be, each with its probability: that widens the uncertainty
+    # by effect in the model, which others it may as well be, and which may be there `BESIDE` all of them, each with its
+    # probability: that widens the uncertainty
     alternatives: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     # models of its sessions without effects, by session and variant, as far as they were made: of this choice and of
     # those with other effects
@@ -210,15 +211,17 @@ def _with_alternatives(joint: JointFit, chosen: FitRequest) -> JointFit:
     differences = dict[tuple[str, str], Array]()
     asked = [(effect, other) for effect, others in chosen.alternatives.items() for other in others]
     for effect, other in asked:
-        if effect not in chosen.effects or other in chosen.effects:
+        if effect not in (BESIDE, *chosen.effects) or other in chosen.effects:
             continue
-        effects = tuple(other if name == effect else name for name in chosen.effects)
+        kept = (*chosen.effects, BESIDE) if effect == BESIDE else chosen.effects
+        effects = tuple(other if name == effect else name for name in kept)
         find_effects([other], chosen.own)  # that it is unknown is not passed over
         try:
             instead = fit_sessions(replace(chosen, effects=effects, alternatives={})).joint
         except ModelError:
             continue
-        differences[effect, other] = effect_signal(instead, other)[0] - effect_signal(joint, effect)[0]
+        own = 0.0 if effect == BESIDE else effect_signal(joint, effect)[0]
+        differences[effect, other] = effect_signal(instead, other)[0] - own
     if not differences:
         return joint
     ends = np.cumsum([len(model.sigma) for model in joint.assembly.models])

@@ -17,6 +17,7 @@ from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.observations import ACROSS
+from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
@@ -205,9 +206,12 @@ class Identified(ABC):
 
     @property
     def alternatives(self) -> dict[str, dict[str, float]]:
-        """By effect, which others it may as well be, each with its probability; the uncertainties contain that."""
+        """By effect, which others it may as well be, each with its probability; the uncertainties contain that.
+
+        By no name (`BESIDE`), which may be there beside all of them.
+        """
         known = self.joint.alternatives
-        every = {} if known is None else {name: known.of(name) for name in self.effects}
+        every = {} if known is None else {name: known.of(name) for name in (*self.effects, BESIDE)}
         return {name: others for name, others in every.items() if others}
 
     @property

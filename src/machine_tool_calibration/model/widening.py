@@ -22,12 +22,15 @@ from machine_tool_calibration.model.reproducibility import Family, with_drift
 ALTERNATIVE = "alternative"
 """Name of the family of differences between effects in the model and others."""
 
+BESIDE = ""
+"""What stands for the effect in the model where another one may be there beside all of them."""
+
 
 @dataclass(frozen=True)
 class Alternatives:
     """What the readings would be if effects in the model were others that the readings do not distinguish from them."""
 
-    effects: tuple[tuple[str, str], ...]  # the k effects in the model, each with another in its place
+    effects: tuple[tuple[str, str], ...]  # the k effects in the model, or `BESIDE`, each with another in its place
     differences: tuple[Array, ...]  # per session, (k, n) what changes in the readings, m, if that one is true instead
     probability: Array  # (k,) that it is; of those of one effect one is true at most
 

@@ -19,6 +19,7 @@ from machine_tool_calibration.model.result import (
     only_if_right,
     scatter_p_value,
 )
+from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.reports.quantities import MOST_NAMED, probability, quantity, rounded
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.session.catalogue import method_spec
@@ -132,10 +133,13 @@ def off_the_map_words(content: Mapping[str, Any]) -> Iterator[Said]:
 
 def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
     """A sentence for what an effect may be instead, what is negative and positive by its nature, and a lead's alias."""
-    for name in effects:
+    for name in (*effects, BESIDE):
         if fit.alternatives and (instead := fit.alternatives.of(name)):
             each = [f"{other} ({probability(share)})" for other, share in instead.items()]
-            yield say("fit.alternatives", name=name, others=together(each, say("diagnosis.or")))
+            if name == BESIDE:
+                yield say("fit.beside", names=together(each, say("text.and")))
+            else:
+                yield say("fit.alternatives", name=name, others=together(each, say("diagnosis.or")))
     unknowns = fit.assembly.unknowns
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]
