@@ -59,6 +59,14 @@ def test_missing_column(session_folder, name: str, column: str) -> None:
     assert text.startswith(f"observations.csv: the column '{column}' is missing, which ")
 
 
+def test_all_missing_columns_are_named(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    for column in ("x", "displacement"):
+        folder.drop_column(column)
+    words = "the columns 'x', 'displacement' are missing, which tracking_interferometer needs"
+    assert folder.refusal() == f"observations.csv: {words}"
+
+
 def test_direct_needs_an_axis(session_folder) -> None:
     folder = session_folder("direct")
     folder.drop_column("x")

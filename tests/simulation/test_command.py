@@ -48,6 +48,13 @@ def test_every_method_is_written_and_read(method, tmp_path, verb):
     assert np.isfinite(session.readings.displacement).all()
 
 
+def test_a_preset_may_stand_in_the_place_of_a_file(tmp_path, verb):
+    for words in (["iso230_2"], ["--preset", "iso230_2"]):
+        verb("simulate", *words, tmp_path / str(len(words)))
+    one, other = ((tmp_path / n / "observations.csv").read_bytes() for n in "12")
+    assert one == other
+
+
 def test_a_session_in_the_way_is_kept(tmp_path, verb):
     verb("simulate", "--method", "direct", tmp_path)
     before = (tmp_path / "observations.csv").read_bytes()

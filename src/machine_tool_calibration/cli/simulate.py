@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command("simulate", no_args_is_help=True)
-@click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=PATH)
+@click.argument("paths", nargs=-1, metavar="[SPEC.yaml|PRESET] FOLDER", type=PATH)
 @click.option("--method", type=click.Choice(list(METHODS)), help="Measuring method, with its usual plan.")
 @click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
 @click.option("--dimension", type=click.Choice(["2", "3"]), help="Tracking interferometer in the plane or in space.")
@@ -83,7 +83,7 @@ def command(
     A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
     """
     from machine_tool_calibration.session.folder import write_session
-    from machine_tool_calibration.simulation import simulate
+    from machine_tool_calibration.simulation import PRESETS, simulate
     from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
 
     if listed:
@@ -99,6 +99,8 @@ def command(
         if len(chosen) != 1:
             raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
         chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
+    if len(paths) == 2 and preset is None and (named := str(paths[0])) in PRESETS:  # as `mtcal plan` takes it
+        preset, paths = named, paths[1:]
     begun = read_spec(paths[0]) if len(paths) == 2 else None
     fields = {name: value for name, value in numbers.items() if value is not None}
     spec = spec_from(begun, method=method, preset=preset, plan=plan, machine=machine, effects=chosen, fields=fields)

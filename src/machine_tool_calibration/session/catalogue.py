@@ -81,12 +81,14 @@ def needed_columns(description: Description) -> tuple[str, ...]:
 
 
 def require_columns(description: Description, columns: Collection[str], source: str) -> None:
-    """Raise a SessionError that names the first column that is missing."""
+    """Raise a SessionError that names the columns that are missing."""
     needed = needed_columns(description)
-    for name in needed:
-        if name not in columns:
-            near = difflib.get_close_matches(name, columns, n=1, cutoff=0.75)
-            hint = f" (it has {near[0]!r})" if near and near[0] not in needed else ""
-            raise SessionError(f"{source}: the column {name!r} is missing, which {description.method} needs{hint}")
+    if missing := [name for name in needed if name not in columns]:
+        near = [other for name in missing for other in difflib.get_close_matches(name, columns, n=1, cutoff=0.75)]
+        had = ", ".join(repr(name) for name in dict.fromkeys(near) if name not in needed)
+        hint = f" (it has {had})" if had else ""
+        names = ", ".join(map(repr, missing))
+        words = f"the column {names} is" if len(missing) == 1 else f"the columns {names} are"
+        raise SessionError(f"{source}: {words} missing, which {description.method} needs{hint}")
     if method_spec(description.method).any_axis and not any(axis in columns for axis in "xyzabc"):
         raise SessionError(f"{source}: no column of an axis position (x, y, z or c), which {description.method} needs")
