@@ -17,6 +17,7 @@ from machine_tool_calibration.diagnosis.improve import Improvement, Step, entry_
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.improvement import improvement_words
 from machine_tool_calibration.reports.verdict import headline
@@ -101,6 +102,18 @@ def test_the_model_with_what_was_found_is_looked_at_anew(
     assert done.steps[-1].result.effects == done.accepted
     assert [done.probability(name) for name in done.accepted] == [0.9, 0.8][: len(done.accepted)]
     assert shares == sorted(shares) and shares[-1] == 1.0
+
+
+def test_what_may_be_there_is_in_the_uncertainty_though_nothing_is_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_be = {BESIDE: {"backlash_y": 0.3}}
+    none = {"accepted": (), "set_aside": ((),), "gross_errors": (), "alternatives": may_be}
+    monkeypatch.setattr(improve_module, "diagnose", lambda chosen, **_: SimpleNamespace(chosen=chosen, **none))
+    effects = (FlawSpec(id="backlash_y", size=2e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=effects)).session)
+    first, last = done.steps
+    assert (last.change.key, last.result.effects, last.result.alternatives) == ("step.may_be", (), may_be)
+    assert last.result.error_map.error == pytest.approx(first.result.error_map.error, abs=1e-15, nan_ok=True)
+    assert last.map_uncertainty > 1.1 * first.map_uncertainty
 
 
 @pytest.mark.long

@@ -125,7 +125,7 @@ class Diagnosis:
         told = {*self.accepted, *(name for others in out.values() for name in others)}
         open_ = [f for f in self.search.findings if f.probability >= priors.LIKELY and f.name not in told]
         beside = {f.name: round(f.probability, 2) for f in open_ if zero_is_open(self.refused.get(f.name))}
-        return out | {BESIDE: beside} if self.accepted and beside else out
+        return out | {BESIDE: beside} if beside else out
 
     @cached_property
     def with_found(self) -> FittedSessions:

@@ -163,7 +163,7 @@ def improve(subject: Session | FitRequest, *, progress: Progress = untold) -> Im
         aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
         identifying = partial(_on_the_way, progress, 1.0 - 0.55 * left, 0.05 * left)
         for change, wider in accepted_models(found, identifying):
-            if (aside, wider.effects) != (steps[-1].set_aside, steps[-1].chosen.effects):
+            if (aside, wider.model_of) != (steps[-1].set_aside, steps[-1].chosen.model_of):
                 steps.append(Step(steps[-1], change, wider, identify_sessions(wider, found.set_aside), aside))
         looks.append(found)
         chosen = chosen.adding(found.accepted, found.alternatives)
@@ -198,8 +198,9 @@ def _on_the_way(progress: Progress, start: float, length: float, what: str, shar
 def accepted_models(found: Diagnosis, progress: Progress) -> Iterator[tuple[str, FitRequest]]:
     """The models that a diagnosis names, each made from the one before, with what it has and that one has not.
 
-    Without the readings that were set aside, if any; then with the effects found, one after the other. `progress` is
-    called with what is being done and the share that is finished.
+    Without the readings that were set aside, if any; then with the effects found, one after the other, or where there
+    are none, with what may be there in the uncertainty. `progress` is called with what is being done and the share that
+    is finished.
     """
     start = found.chosen
     if found.gross_errors:
@@ -207,6 +208,8 @@ def accepted_models(found: Diagnosis, progress: Progress) -> Iterator[tuple[str,
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
         yield name, start.adding(found.accepted[: k + 1], found.alternatives)
+    if not found.accepted and found.alternatives:
+        yield say("step.may_be"), start.adding((), found.alternatives)
 
 
 def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, number: int) -> Entry:

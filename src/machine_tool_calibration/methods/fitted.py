@@ -72,8 +72,14 @@ class FitRequest:
     def adding(
         self, effects: Sequence[str], alternatives: Mapping[str, Mapping[str, float]] = MappingProxyType({})
     ) -> FitRequest:
-        """With further effects in the model, and what these may be instead."""
-        return replace(self, effects=(*self.effects, *effects), alternatives={**self.alternatives, **alternatives})
+        """With further effects in the model, and what these may be instead; what is beside all is known anew."""
+        before = {effect: others for effect, others in self.alternatives.items() if effect != BESIDE}
+        return replace(self, effects=(*self.effects, *effects), alternatives={**before, **alternatives})
+
+    @property
+    def model_of(self) -> tuple[tuple[str, ...], Mapping[str, Mapping[str, float]]]:
+        """What distinguishes the models on a way: the effects, and what the uncertainty contains beside them."""
+        return self.effects, self.alternatives
 
     def instead(self, at: int, session: Session) -> FitRequest:
         """With another session in the place of one."""

@@ -226,7 +226,7 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     aside = model.by_user | away.keys()
     models = [model]
     for change, chosen in accepted_models(found, progress):
-        if (aside, chosen.effects) != (models[-1].aside, models[-1].fit.chosen.effects):
+        if (aside, chosen.model_of) != (models[-1].aside, models[-1].fit.chosen.model_of):
             models.append(subject.tried(models[-1], change, chosen, aside, model.kept, away))
     return models[1:]
 
