@@ -55,6 +55,7 @@ PLANS: dict[str, AnyPlan] = {
     ),
     "iso230_2": DirectPlan(repeats=2),
     "straightness": DirectPlan(kind="straightness", axis="y", sense="z"),
+    "part": DirectPlan(kind="drilled_plate", count=6, interval=120.0),
     "oblique": DirectPlan(
         kind="points",
         points=tuple(map(tuple, _PLACES.tolist())),
@@ -75,6 +76,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
         for axis in "xyz"
     },
     "table_thermal_growth": {"axial": 3.0},
+    **{f"reversal_spike_{axis}": {"reach": 0.05} for axis in "xyz"},
     "rotary_axis_drift": {"direction": [0.6, -0.48, 0.64], "tilt": 4.0},
     **{name: {"shape": "linear"} for name in ERROR_MOTIONS},
 }

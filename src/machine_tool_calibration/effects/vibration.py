@@ -14,8 +14,8 @@ _NEW_RUN = 2.5
 _FEWEST = 3
 # Waves of a run, at least: fewer are a form of the circle. Step of the frequencies, over one over the longest run.
 _WAVES, _STEP = 4.0, 0.4
-# Frequencies that are kept with their two neighbours; most readings of a run that are transformed.
-_PEAKS, _MOST = 2, 2**18
+# Frequencies that are tried; most readings of a run that are transformed.
+_TRIED, _MOST = 6, 2**18
 
 
 class Vibration(AxisEffect):
@@ -58,7 +58,7 @@ class Vibration(AxisEffect):
         return len(_frequencies(observations))
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
-        """The frequencies at which the readings vary most along the axis, and those next to them."""
+        """The frequencies at which the readings vary most along the axis."""
         tried, run = _frequencies(observations), _runs(observations)
         power, along, left = np.zeros(len(tried)), self.along(observations), _without_form(observations, run)
         for mine in (run == k for k in range(run.max() + 1)):
@@ -71,13 +71,7 @@ class Vibration(AxisEffect):
             at = np.fft.rfftfreq(int(count / _STEP), even[1] - even[0])
             squares = max(float(along[mine] @ along[mine]), 1e-9)
             power += np.interp(tried, at, np.abs(spectrum) ** 2 / squares, right=0.0)
-        kept: set[int] = set()
-        for k in np.argsort(-power, kind="stable").tolist():
-            if len(kept) >= 3 * _PEAKS:
-                break
-            if k not in kept:
-                kept |= {max(k - 1, 0), k, min(k + 1, len(tried) - 1)}
-        return [(float(tried[k]),) for k in sorted(kept)]
+        return [(float(tried[k]),) for k in np.sort(np.argsort(-power, kind="stable")[:_TRIED])]
 
 
 def _runs(observations: Observations) -> IntArray:
