@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.residuals import gross_error_sets
 from machine_tool_calibration.residuals.gross_errors import find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.checks import check_session
@@ -95,6 +97,21 @@ def test_gross_errors_of_five_percent_are_found(name: str) -> None:
     assert len(found) <= 1.5 * len(rows)
     assert len(kept.readings) == len(session.readings) - len(found)
     assert 0.6 < fit.joint.reduced_chi_square < 1.4
+
+
+def test_without_points_so_many_are_judged_together_as_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixteen wrong ones of an axis, ten at a time."""
+    judged = list[int]()
+
+    def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
+        judged.append(len(pulled))
+        return gross_error_sets.best_set(inverse, pulled, limit)
+
+    monkeypatch.setattr("machine_tool_calibration.residuals.gross_errors.TOGETHER", 10)
+    monkeypatch.setattr("machine_tool_calibration.residuals.gross_errors.best_set", best_set)
+    wrong, rows = with_gross_errors(simulate(SimulationSpec(plan=PLANS["iso230_2"], seed=11)).session, 0.1, 11)
+    assert {o.row for o in find_outliers(wrong, _built)} == rows
+    assert judged == [10, 6]
 
 
 def test_what_a_doubtful_reading_decided_is_decided_anew() -> None:
