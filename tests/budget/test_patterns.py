@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.budget.contributor import Contributor
-from machine_tool_calibration.budget.patterns import effect_on_readings, measured_length, pattern, sharing
+from machine_tool_calibration.budget.patterns import (
+    effect_on_readings,
+    measured_length,
+    pattern,
+    shared_errors,
+    sharing,
+)
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DirectPlan, SimulationSpec, TrackingPlan, simulate
 from machine_tool_calibration.simulation.flaws import refractivity
 
@@ -104,3 +111,23 @@ def test_a_contributor_of_one_instrument_leaves_the_others_alone(contributor: Ma
     assert own.group[len(LINE) :].min() == own.group[: len(LINE)].max() + 1
     with pytest.raises(ModelError, match="is of a cmm, and laser_interferometer read this"):
         pattern(contributor("reading", "setup", instrument="cmm"), [LINE])
+
+
+@pytest.mark.parametrize(
+    ("count", "varies", "scatter", "shared"),
+    [(4, "reading", 2.0, 0), (4, "run", 0.0, 4), (4, "setup", 0.0, 1), (200, "run", 0.0, 200), (201, "run", 2.0, 0)],
+)
+def test_for_a_plan_readings_with_values_of_their_own_or_of_very_many_scatter(
+    runs: Callable[..., Session], count: int, varies: str, scatter: float, shared: int
+) -> None:
+    """2 µm beside a declared 1 µm; the readings of one value move by it together, and by nothing else."""
+    line = {"name": "zero", "type": "B", "standard_uncertainty": 2e-6, "enters": "reading", "varies": varies}
+    errors = shared_errors(build_model(runs(runs=count, budget=[line]))[0].observations)
+    assert errors is not None
+    assert errors.scatter == pytest.approx(scatter)
+    assert errors.change.shape == (shared, 5 * count)
+    np.testing.assert_allclose(errors.change.sum(axis=0), 2e-6 if shared else 0.0)
+
+
+def test_for_a_plan_a_session_without_a_budget_has_no_shared_errors(runs: Callable[..., Session]) -> None:
+    assert shared_errors(build_model(runs())[0].observations) is None
