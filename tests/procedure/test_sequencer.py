@@ -177,6 +177,16 @@ def test_pause_and_resume():
     world.check()
 
 
+def test_a_step_that_was_interrupted_is_approached_from_the_place_before_it():
+    world = World(small())
+    world.before = lambda: len(world.emitted) == 7 and world.sequencer.pause()
+    world.run()
+    before, step = world.plan.steps[6:8]
+    (motion, _aim) = world.sequencer.resume(world.clock, world.wall)
+    assert before.position != step.position
+    assert [point.position for point in motion.points] == [before.position, step.position, step.position]
+
+
 def test_late_answers_after_a_pause_belong_to_nothing():
     world = World(small())
     world.do(world.sequencer.start(world.clock, world.wall))
