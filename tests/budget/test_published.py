@@ -28,6 +28,7 @@ from machine_tool_calibration.budget.published import (
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.progress import untold
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, DirectPlan, FlawSpec, RotaryPlan, SimulationSpec, simulate
@@ -198,6 +199,16 @@ def test_an_effect_is_told_whether_it_is_there_or_not(size: float) -> None:
     (only,) = after_each_setup(FitRequest((measured,)), Until.parse("told=backlash_x"))
     assert only.enough
     assert (only.probabilities["backlash_x"] > 0.5) == bool(size)
+
+
+def test_what_comes_slowly_is_called_absent_by_a_whole_measurement_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = FitRequest((simulate(SimulationSpec(seed=4, plan=DirectPlan(repeats=2, count=6))).session,))
+    nothing = complete.diagnose(measured, progress=untold)
+    monkeypatch.setattr(complete, "diagnose", lambda *_, **__: nothing)
+    drift, backlash = Until(told=("linear_drift",)), Until(told=("backlash_x",))
+    assert reached(measured, drift).enough and reached(measured, backlash).enough
+    assert not reached(measured, drift, whole=False).enough
+    assert reached(measured, backlash, whole=False).enough
 
 
 def test_parts_hold_whole_setups_in_the_order_of_the_readings(session: Session) -> None:
