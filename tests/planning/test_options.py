@@ -75,6 +75,20 @@ def test_backwards_is_the_reverse_order_with_the_other_approach(simulated: Simul
         assert np.array_equal(new.columns[f"dir_{axis}"][mine][moved:], second.columns[f"dir_{axis}"][moved:])
 
 
+def test_in_another_order_that_axis_moves_at_every_target_which_moved_least_often(simulated: Simulated) -> None:
+    """Station after station as they were, each with all of its targets, sorted by the axis that moves from now on."""
+    session = simulated("tracking_2d")
+    option = named(further_options(session), "order")
+    new = option.session.readings.select(option.session.readings.row >= option.first_row)
+    old = session.readings.select(first_repetition(session))
+    assert "Y" in option.measure
+    for setup in range(4):
+        before, after = old.position()[old.setup == setup], new.position()[new.setup == 4 + setup]
+        moves = np.count_nonzero(np.diff(before, axis=0), axis=0)
+        assert moves[1] < moves[0]
+        assert np.array_equal(after, before[np.lexsort((before[:, 1], before[:, 0]))])
+
+
 def test_a_reversed_run_starts_at_zero_where_runs_do(simulated: Simulated) -> None:
     session = simulated("step_diagonal")
     new = named(further_options(session), "backwards").session.readings
