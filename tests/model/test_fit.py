@@ -17,7 +17,15 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import absorbed_by, changed, declared, drawn, fit_models, screen
 from machine_tool_calibration.model.model import POINTS
 from machine_tool_calibration.model.result import ErrorMap, Estimate, effect_signal, lacks_reversal, map_change, map_rms
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, RotaryPlan, SimulationSpec, TrackingPlan, simulate
+from machine_tool_calibration.simulation import (
+    PRESETS,
+    DiagonalPlan,
+    FlawSpec,
+    RotaryPlan,
+    SimulationSpec,
+    TrackingPlan,
+    simulate,
+)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-6, 1e-3])
@@ -34,6 +42,23 @@ def test_what_moves_the_points_is_theirs_and_an_offset_of_a_setup_its_dead_paths
     projected = screen(fit, size * np.array([moved, offset]))
     assert absorbed_by(fit.joint, projected, slice(0, 1)) == (POINTS,)
     assert [p.name for p in absorbed_by(fit.joint, projected, slice(1, 2))][:1] == ["C.dead_path"]
+
+
+def test_of_several_columns_shares_are_compared_whatever_unit_each_has() -> None:
+    """An offset of one setup and, in another unit, one of another setup."""
+    fit = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session)[0]]).fits[0]
+    readings = fit.model.observations.readings
+    c, a = ((readings.setup == s) * np.where(readings.repeat == 0, 2.0, -1.0) for s in (2, 0))
+    projected = (screen(fit, np.array([unit * c, a])) for unit in (1e-6, 1.0, 1e6))
+    assert {absorbed_by(fit.joint, one, slice(0, 2))[0].name for one in projected} == {"C.dead_path"}
+
+
+def test_random_functions_of_a_single_model_are_those_of_its_fit() -> None:
+    model = build_model(simulate(SimulationSpec(plan=DiagonalPlan(blocks=4, repeats=1), seed=3)).session)[0]
+    assert model.random is not None
+    random = fit_models([model]).random
+    assert random is not None and random.names == model.random.names
+    assert fit_models([model, model], ["A", "B"]).random is None
 
 
 @pytest.mark.parametrize("plan", [TrackingPlan(dimension=2), RotaryPlan()], ids=["points", "tables"])

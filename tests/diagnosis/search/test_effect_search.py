@@ -39,9 +39,11 @@ def session(effect: str | None) -> Session:
     return simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5, effects=flaws)).session
 
 
-def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ()) -> EffectSearch:
+def looked(
+    measured: Session, structures: Sequence[tuple[str, np.ndarray]] = (), effects: Sequence[str] = EFFECTS
+) -> EffectSearch:
     fit = fit_models([build_model(measured)[0]])
-    candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
+    candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in effects])
     smooth = say("shape.smooth")
     made = [Candidate(name, (ShapedColumns((), columns),), dependence=(name, smooth)) for name, columns in structures]
     return search_effects(Pool(fit), candidates, made)
@@ -61,6 +63,16 @@ def test_a_structure_in_the_span_of_an_effect_is_that_effect() -> None:
     assert look.unknown == pytest.approx(without.unknown)
     assert look.of("backlash_y").probability > 0.9
     assert look.of("backlash_y").probability == pytest.approx(without.of("backlash_y").probability)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_structure_of_a_size_that_no_effect_has_is_none_whatever_its_sign(sign: float) -> None:
+    """Backlash of three millimetres is something else that goes with the direction."""
+    readings, (column,) = session(None).readings, columns_of("backlash_y")
+    moved = replace(readings, displacement=readings.displacement + sign * 1.5e-3 * column)
+    look = looked(session(None).with_readings(moved), [("dir_y", column[None])], ["backlash_y"])
+    assert [one.covariate for one in look.structure] == ["dir_y"]
+    assert look.accepted == ()
 
 
 @pytest.mark.parametrize("effect", ["backlash_y", "pointer_radial_error"])

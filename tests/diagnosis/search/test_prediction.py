@@ -160,5 +160,8 @@ def test_parts_without_which_there_is_no_model_are_counted_and_one_prediction_sa
     assert without["setups"].needed == 1 and whole["setups"].needed == 0
     assert without["setups"].log_gains == whole["setups"].log_gains[1:]
     assert without["cycles"] == whole["cycles"]
+    count = np.bincount(session.readings.setup)
+    assert {each.readings for each in whole.values()} == {count.sum()}
+    assert without["setups"].readings == count[1:].sum()
     assert len(found(0, 1)["setups"].log_gains) == 2
     assert set(found(0, 1, 2)) == set(found(0, 1, 2, 3)) == set(whole) - {"setups"}
