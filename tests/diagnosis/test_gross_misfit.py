@@ -153,3 +153,19 @@ def test_an_effect_that_gross_errors_hid_while_it_hid_them_is_found_with_them() 
     assert found.verdict == "missing_effect"
     assert found.accepted == ("reversal_ECY",)
     assert sorted(outlier.row for outlier in found.gross_errors) == hit.tolist()
+
+
+@pytest.mark.parametrize(("variance", "contradicted"), [(16.0, True), (7.0, False)])
+def test_what_is_read_directly_contradicts_beside_what_repeats_scatter(variance: float, contradicted: bool) -> None:
+    """By twice what was declared: then a variance of sixteen is one of four, and one of seven less than two."""
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=12)).session
+    solutions = [SimpleNamespace(chi_square=100.0 * size, degrees_of_freedom=100) for size in (variance, variance - 1)]
+    found = SimpleNamespace(
+        fits=[SimpleNamespace(solution=one) for one in solutions],
+        chosen=SimpleNamespace(sessions=[session]),
+        search=SimpleNamespace(variance=variance, memory=1.0, accepted=("backlash_x",)),
+        nothing=0.1,
+        noise=SimpleNamespace(from_repeats=6e-7, counted=3e-7, repeats=1000.0),
+        noisy=False,
+    )
+    assert Diagnosis.contradicted.fget(found) is contradicted  # type: ignore[attr-defined]

@@ -14,7 +14,7 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.methods.joint.map import _rotary
-from machine_tool_calibration.methods.joint.model import _translated, _translation
+from machine_tool_calibration.methods.joint.model import _translated, _translation, _union
 from machine_tool_calibration.model.model import Kind, Parameter, motion_value
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.session.session import Session
@@ -254,3 +254,10 @@ def test_a_place_of_which_a_component_was_never_read_has_none_of_it() -> None:
     (at,) = np.flatnonzero(np.abs(found.points[:, 1] - 0.225) < 1e-9)
     assert np.isnan(found.error[at, 0]) and np.isfinite(found.error[at, 1])
     assert np.isfinite(np.delete(found.error, at, axis=0)[:, :2]).all()
+
+
+def test_nodes_of_all_sessions_are_kept_until_there_are_very_many() -> None:
+    even = np.linspace(0.0, 0.6, 61)
+    np.testing.assert_allclose(_union([even[::2], even[1::2]]), even)
+    many = _union([even, even[:-1] + 0.005])
+    np.testing.assert_allclose(many, even[::2])

@@ -193,6 +193,14 @@ def test_noise_does_not_bend() -> None:
     assert np.sqrt(np.mean(curved)) == pytest.approx(1e-4, rel=0.05)
 
 
+def test_a_node_beside_another_tells_no_bend() -> None:
+    """A tenth of a millimetre apart, two values differ by what they are uncertain, and bend by as much as one likes."""
+    nodes = np.array([0.0, 0.1, 0.2, 0.3, 0.3001, 0.4])
+    value = 5e-5 * nodes**2 + np.array([0.0, 0.0, 0.0, 0.0, 5e-7, 0.0])
+    found = squared_bend(nodes, value, 1e-14 * np.eye(6))
+    assert np.sqrt(found) == pytest.approx(1e-4, rel=0.05)
+
+
 @pytest.mark.long
 def test_a_plate_where_only_step_diagonals_tell_the_straightness(several: SimpleNamespace, many: Any) -> None:
     """Step diagonals of 50 mm, a grid plate of 80 mm: its points lie between the nodes of EZX and EZY."""

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.rotary_axis.geometry import merged_nodes
 from machine_tool_calibration.methods.rotary_axis.spec import on_table
 from machine_tool_calibration.simulation import RotaryPlan
 from machine_tool_calibration.simulation.simulate import simulate
@@ -145,3 +146,9 @@ def test_all_targets_at_every_angle_are_as_good(both_ways: bool, reproducible: N
     for name in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC"):
         np.testing.assert_allclose(found[True][name], found[False][name], atol=1e-10)
         np.testing.assert_allclose(found[True][f"{name}_u"], found[False][f"{name}_u"], rtol=1e-6)
+
+
+def test_nearly_equal_angles_are_the_middle_one_as_it_was_written_and_none_is_minus_zero() -> None:
+    nodes, node = merged_nodes(np.array([0.5, -0.0, 0.5 + 1e-12, 0.5 - 1e-12]))
+    assert [str(value) for value in nodes] == ["0.0", "0.5"]
+    assert node.tolist() == [1, 0, 1, 1]
