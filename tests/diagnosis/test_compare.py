@@ -62,6 +62,12 @@ def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
         if np.isfinite(share.slope):
             slope = np.polyfit(readings.column("time")[mine], fit.residuals[mine], 1)[0]
             assert share.slope == pytest.approx(slope, rel=1e-3, abs=1e-3 * share.slope_u)
+    for way in found.approaches.itertuples():
+        sense = readings.column(f"dir_{way.axis}")
+        assert (way.forward, way.backward) == (np.sum(sense > 0), np.sum(sense < 0))
+        if np.isfinite(way.difference):
+            apart = fit.residuals[sense > 0].mean() - fit.residuals[sense < 0].mean()
+            assert way.difference == pytest.approx(apart, abs=1e-3 * found.noise.declared)
 
 
 @pytest.mark.long(but=("tracking_2d", "rotary_axis"))
