@@ -16,9 +16,10 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import declared, fit_models
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.best_plan import BestPlan, all_candidates, best_plan, quickest_plan
-from machine_tool_calibration.planning.design import Candidates
+from machine_tool_calibration.planning.design import Candidates, SharedErrors
 from machine_tool_calibration.planning.dominant import expecting
 from machine_tool_calibration.planning.forecast import Assumed, planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
@@ -233,6 +234,20 @@ def test_the_file_of_the_quickest_plan_has_its_setups_in_their_order() -> None:
     assert quickest_plan(text, "plane", Assumed(), u=1.4e-6, told=()) == offered.text(wanted)
 
 
+def test_a_procedure_is_kept_where_it_misses_what_is_wanted_by_less_than_the_margin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[tuple[float, float]] = []
+
+    def found(offered: Offer, _: Candidates, goal: float, *__: object, kept_up_to: float) -> Choice:
+        asked.append((goal, kept_up_to))
+        return offered.present
+
+    monkeypatch.setattr("machine_tool_calibration.planning.best_plan.quickest", found)
+    quickest_plan(PLANE, "plane", Assumed(), u=1e-6, told=())
+    assert asked == [pytest.approx((0.85e-6, 1e-6 / 0.85))]
+
+
 @pytest.mark.long
 def test_what_a_plan_is_made_of_and_how_far_the_work_is() -> None:
     shares: list[float] = []
@@ -287,6 +302,20 @@ def test_what_a_budget_says_is_in_it() -> None:
     plain = best_plan(PLANE, "plane.yaml", Assumed()).present
     assert found.present.largest > plain.largest
     assert found.present.largest == pytest.approx(max(known.max(), plain.largest), rel=0.02)
+
+
+@pytest.mark.parametrize("shared", [0, 1])
+def test_readings_that_scatter_more_than_declared_make_a_plan_worse(shared: int) -> None:
+    """Three times as much, whether or not they share errors too, which are too small here to tell."""
+
+    def scattering(observed: Observations) -> SharedErrors:
+        return SharedErrors(3.0, np.full((shared, len(observed)), 1e-12))
+
+    offered = offer(PLANE, "plane")
+    found = all_candidates(offered, Assumed(errors=scattering), ())[0]
+    weights, plain = offered.weights(offered.present), _candidates(offered)
+    np.testing.assert_allclose(found.variances(weights), 9.0 * plain.variances(weights), rtol=1e-6)
+    np.testing.assert_allclose(found.by_scatter(weights), plain.variances(weights))
 
 
 @pytest.mark.parametrize(

@@ -161,11 +161,9 @@ class Candidates:
     def judged(self, weights: Array) -> tuple[Array, float]:
         """(q,) variances, and the share of the readings, each counted once, that check others, as for `variances`."""
         variance, x_shared, x_local, redundancy = self._solved(weights, responses=bool(self._errors))
-        if not self._errors:
-            return variance, redundancy
         # the fit knows nothing of what readings share: each such error moves every number by x^T A^T W e
         moved = np.zeros((len(variance), self._errors))
-        for u in np.flatnonzero(weights > 0):
+        for u in np.flatnonzero(weights > 0) if self._errors else ():
             own = self.units[u]
             moved[:, own.errors] += weights[u] * (x_shared[own.seen].T @ own.right)
             if x_local.size:
