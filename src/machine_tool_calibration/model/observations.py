@@ -114,7 +114,7 @@ class Observations:
     @property
     def moved(self) -> BoolArray:
         """(3,) along which of x, y and z more than one position was read."""
-        return np.asarray(np.ptp(self.position, axis=0) > SAME_POSITION) if len(self) else np.zeros(3, dtype=bool)
+        return np.asarray(np.ptp(self.position, axis=0) > SAME_POSITION)
 
     @property
     def read_along(self) -> Array:
