@@ -65,7 +65,7 @@ def test_an_effect_may_cost_the_map_neither_values_nor_all_use(name: str, after:
 @pytest.mark.parametrize(
     ("probabilities", "chi_squares", "accepted", "good_enough", "verdict"),
     [
-        # What has no known cause takes 90 % of what is left: the story where that is more than the effect took.
+        # What has no known cause takes 600 of what is left: the story where that is more than the effect took.
         ((0.99, 0.001), (1000.0, 800.0), True, False, "unexplained"),
         ((0.99, 0.001), (1000.0, 100.0), True, False, "missing_effect"),
         ((0.30, 0.001), (1000.0, 800.0), True, False, "missing_effect"),
@@ -78,25 +78,31 @@ def test_an_effect_may_cost_the_map_neither_values_nor_all_use(name: str, after:
         ((0.05, 0.900), (1000.0, 1000.0), False, False, "adequate"),
     ],
 )
+@pytest.mark.parametrize("named", [True, False])
 def test_the_verdict_by_what_is_unknown_and_what_effects_explain(
     monkeypatch: pytest.MonkeyPatch,
+    named: bool,
     probabilities: tuple[float, float],
     chi_squares: tuple[float, float],
     accepted: bool,
     good_enough: bool,
     verdict: str,
 ) -> None:
-    """Probabilities that something unknown is missing, and nothing; sums of squares without and with the effect."""
-    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose._good_enough", lambda found: good_enough)
+    """Probabilities that something unknown is missing, and nothing; sums of squares without and with the effect.
+
+    What is unknown is named as a pattern of what is left, or only in the most probable set.
+    """
+    module = "machine_tool_calibration.diagnosis.diagnose"
+    monkeypatch.setattr(f"{module}._good_enough", lambda found: good_enough)
+    monkeypatch.setattr(f"{module}._without_cause", lambda found: 0.0 if named else 600.0)
     fits = [SimpleNamespace(solution=SimpleNamespace(chi_square=size)) for size in chi_squares]
-    left = (SimpleNamespace(share=0.9),)
-    named = ("backlash_y",) * accepted
+    left = (SimpleNamespace(share=600.0 / chi_squares[1]),) * named
     found = SimpleNamespace(
         contradicted=False,
         unknown=probabilities[0],
         nothing=probabilities[1],
         fits=fits,
-        accepted=named,
+        accepted=("backlash_y",) * accepted,
         gross_errors=(),
         left=left,
         refused={},

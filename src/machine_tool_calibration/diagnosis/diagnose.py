@@ -395,7 +395,7 @@ def _verdict(found: Diagnosis) -> str:
     if found.unknown > priors.ACCEPTED and found.nothing < priors.LIKELY and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
         left = max((s.share for s in found.left), default=0.0) * last.chi_square
-        if not found.accepted or left > first.chi_square - last.chi_square:
+        if not found.accepted or max(left, _without_cause(found)) > first.chi_square - last.chi_square:
             return "unexplained"
     if found.accepted:
         return "missing_effect"
@@ -405,6 +405,14 @@ def _verdict(found: Diagnosis) -> str:
     if sure or (found.nothing < 1.0 - priors.SURE and not _good_enough(found)):
         return "unexplained"
     return "outliers" if found.gross_errors else "adequate"
+
+
+@single_blas()
+def _without_cause(found: Diagnosis) -> float:
+    """Weighted squares of the structures in the most probable set, outside the model with what was found."""
+    known = {finding.name for finding in found.search.findings}
+    signals = [signal for name, signal in found.search.signals.items() if name not in known]
+    return float(Pool(found.fits[-1]).screen(np.sum(signals, axis=0)[None]).gram[0, 0]) if signals else 0.0
 
 
 @single_blas()

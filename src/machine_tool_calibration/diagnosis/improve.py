@@ -136,6 +136,11 @@ class Improvement:
         return next(found.search.of(effect).probability for found in self._looks if effect in found.accepted)
 
     @property
+    def last(self) -> Diagnosis:
+        """Of the last model that was looked at: with what was found before it."""
+        return self._looks[-1]
+
+    @property
     def _looks(self) -> tuple[Diagnosis, ...]:
         return self.diagnosis, *self.further
 

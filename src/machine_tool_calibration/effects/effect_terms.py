@@ -79,8 +79,8 @@ def common_shape(
     """
     if not grid:
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
-    explained = partial(_explained, joint, effect)
-    gains, sizes, told = explained(grid)
+    of = partial(explained, joint, effect)
+    gains, sizes, told = of(grid)
     best = int(np.argmax(gains))
     if all(coefficient.discrete for coefficient in effect.shapes):
         # As many unknowns as the readings tell: how large they plausibly are keeps those that are nothing small.
@@ -97,15 +97,12 @@ def common_shape(
     from scipy import optimize  # slow to load, and few effects need it
 
     found = optimize.minimize_scalar(
-        lambda value: -explained([(float(value),)])[0][0],
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 1e-4 * low},
+        lambda value: -of([(float(value),)])[0][0], bounds=(low, high), method="bounded", options={"xatol": 1e-4 * low}
     )
     if -found.fun <= gains[best]:
         return grid[best], sizes[best]
     shape = (float(found.x),)
-    return shape, explained([shape])[1][0]
+    return shape, of([shape])[1][0]
 
 
 def within_grid(shape: tuple[float, ...], grid: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
@@ -122,7 +119,7 @@ def _more_than_rounding(squares: Array) -> Array:
     return np.where(squares > _ROUNDING * largest, squares, largest)
 
 
-def _explained(
+def explained(
     joint: JointFit, effect: Effect, shapes: Sequence[tuple[float, ...]]
 ) -> tuple[list[float], list[list[Array]], list[bool]]:
     """For each shape what an effect explains of the residuals, its sizes in each session, and if all are told."""

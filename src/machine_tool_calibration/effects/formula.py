@@ -17,9 +17,11 @@ from __future__ import annotations
 import ast
 import operator
 import re
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from tokenize import TokenError
 from typing import Annotated, Any, Literal
@@ -160,9 +162,15 @@ _UNITS = {
 _POWER = r"[(\s]*(?:[^\W\d]|[°%])+(?:\s*(?:\*\*|\^)\s*-?\d\d?(?:\.\d)?)?[)\s]*"
 _UNIT = re.compile(rf"1|(?:1\s*/)?{_POWER}(?:[*/ ]{_POWER})*")
 _LONGEST_UNIT = 60
-_GRID = 12
+# Values of a nonlinear coefficient at first, and at most; cosine of the columns of two of them that are alike.
+_GRID, _MOST_GRID, _ALIKE = 12, 1000, 0.9
 _LARGEST_FILE = 1 << 20
 _ROUNDING = 1e-9  # of a factor between units
+
+
+def _apart(one: Array, other: Array) -> bool:
+    """Whether some column of unit length differs from the other one of its coefficient; those of no length do not."""
+    return bool(one.any() and other.any() and np.abs(np.sum(one * other, axis=1)).min() < _ALIKE)
 
 
 def _in_si(name: str, unit: str) -> tuple[float, str]:
@@ -315,12 +323,28 @@ class FormulaEffect(Effect):
         return f"{text} (names that are no coefficients, here {', '.join(self._columns)}, are columns of the session)"
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
-        """Values between the limits of the nonlinear coefficient, on a logarithmic scale where both are positive."""
+        """Values between the limits of the nonlinear coefficient, on a logarithmic scale where both are positive.
+
+        More of them where the columns of neighbours and of what is between them are not alike, as of a wave.
+        """
         if not self.shapes:
             return [()]
         low, high = self.shapes[0].low, self.shapes[0].high
-        values = np.geomspace(low, high, _GRID) if low > 0 else np.linspace(low, high, _GRID)
-        return [(float(v),) for v in values]
+        spaced = np.geomspace if low > 0 else np.linspace
+        known = {float(value): self._unit_columns(observations, value) for value in spaced(low, high, _GRID)}
+        between = deque(pairwise(known))
+        while between and len(known) < _MOST_GRID:
+            one, other = between.popleft()
+            middle = float(spaced(one, other, 3)[1])
+            columns = self._unit_columns(observations, middle)
+            if _apart(columns, known[one]) or _apart(columns, known[other]):
+                known[middle] = columns
+                between += [(one, middle), (middle, other)]
+        return [(value,) for value in sorted(known)]
+
+    def _unit_columns(self, observations: Observations, value: float) -> Array:
+        columns = np.nan_to_num(self.columns(observations, (float(value),)))
+        return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), np.finfo(float).tiny))
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The formula with one coefficient at one and the others at zero, for each."""

@@ -19,7 +19,7 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words, table
 from machine_tool_calibration.reports.verdict import headline
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import say, together
 
 # Growth of the map's uncertainty that is explained.
 _GROWN = 1.2
@@ -33,6 +33,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
     return {
         "format": "mtcal-improvement/1",
         "verdict": done.diagnosis.verdict,
+        "verdict_after": done.last.verdict,  # of the last model that was looked at
         "accepted": done.accepted,
         "set_aside": [row for rows in done.steps[-1].set_aside for row in rows],
         "steps": [step_document(step) for step in done.steps],
@@ -68,21 +69,29 @@ def improvement_parts(done: Improvement) -> Iterator[Part]:
 
 
 def improvement_words(done: Improvement) -> str:
-    """What was found to add, or to set aside, and by how much the residual fell: one sentence or two."""
-    found = done.diagnosis
+    """What was found to add, or to set aside, by how much the residual fell, and what is left: a sentence or some."""
+    found, last = done.diagnosis, done.last
     fell = _what_falls(done)
     if done.accepted:
         grows = _what_grows(done)
         key = "improved.added_grows" if grows else "improved.added"
-        return say(key, names=", ".join(done.accepted), fell=fell, grows=grows)
+        said = [say("improved.aside", n=len(found.gross_errors))] if found.gross_errors else []
+        said.append(say(key, names=", ".join(done.accepted), fell=fell, grows=grows))
+        if last.verdict == "unexplained":
+            said.append(say("improved.left", found=headline(last)))
+        return together(said)
     if found.verdict == "outliers":
         return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
     return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing", found=headline(found))
 
 
 def _what_falls(done: Improvement) -> str:
-    """The residual; where unknown angles had taken up what is now in the model, the residual volumetric error."""
-    first, last = done.steps[0], done.steps[-1]
+    """The residual by the effects, else by what was set aside; the residual volumetric error where that falls alone.
+
+    Unknown angles may have taken up what is now in the model.
+    """
+    effects = [step.before for step in done.steps if step.change in done.accepted and step.before]
+    first, last = effects[0] if effects else done.steps[0], done.steps[-1]
     declared = quantity(done.diagnosis.noise.declared, "m")
     residual = residual_change(first.result.rms_residual, last.result.rms_residual)
     before, after = (step.residual_volumetric_error(last) for step in (first, last))

@@ -14,12 +14,13 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns, _grid, effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.findings import Size, _detectable, without_laws
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.effects.formula import FormulaEffect
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.effect_sizes import smallest_signal
@@ -242,10 +243,17 @@ def test_what_takes_most_of_what_a_surer_effect_leaves_is_named_beside_it() -> N
         assert len(kept) == named
 
 
-def test_in_several_sessions_fewer_shapes_are_tried_from_end_to_end() -> None:
-    effect: Any = SimpleNamespace(shape_grid=lambda start: [(float(start + k),) for k in range(300)])
-    acting: Any = (0, 100)
-    grid = _grid(effect, acting)
-    assert len(grid) < 100 and (grid[0], grid[-1]) == ((0.0,), (399.0,))
-    assert np.ptp(np.diff(np.ravel(grid))) <= 1.0
-    assert len(_grid(effect, acting[:1])) == 300
+def test_of_a_quick_wave_the_periods_that_explain_most_are_searched() -> None:
+    """The readings tell its period to some thousandths: hundreds of others lie between its limits."""
+    period = {"tau": {"unit": "s", "low": 30.0, "high": 3000.0}}
+    coefficients = {"a": {"unit": "m", "low": -2e-5, "high": 2e-5}}
+    formula = {"id": "swing", "enters": "y", "formula": "a * cos(2 * pi * time / tau)"}
+    wave = FormulaEffect(formula | {"coefficients": coefficients, "shapes": period})
+    still = session(None)
+    pool = Pool(fit_models([build_model(still, None)[0]]))
+    moved = 3e-6 * wave.columns(pool.observations[0], (97.0,))[0]
+    swinging = still.with_readings(replace(still.readings, displacement=still.readings.displacement + moved))
+    pool = Pool(fit_models([build_model(swinging, None)[0]]))
+    ((candidate,), _) = effect_candidates(pool, [wave])
+    assert len(candidate.shapes) < 100 < candidate.count
+    assert min(abs(shaped.shape[0] - 97.0) for shaped in candidate.shapes) < 0.3

@@ -11,15 +11,15 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.laws import law_tolerance
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.effects.effect_terms import explained
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import Said
 
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
-# Sets of nonlinear coefficients of one effect in several sessions.
-_MOST_SHAPES = 48
+# Sets of nonlinear coefficients of one effect, in one session and in several, beyond which so many are searched.
+_MOST_SHAPES, _MOST_OF_SEVERAL, _SEARCHED = 300, 48, 48
 # Standard uncertainties between a fitted nonlinear coefficient and the grid's from which the grid is too coarse.
 _BETWEEN = 2.0
 
@@ -121,11 +121,12 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
     for effect in effects:
         reasons = [effect.why_not(o) for o in pool.observations]
         acting = [o for o, reason in zip(pool.observations, reasons, strict=True) if reason is None]
-        shaped = [shaped_at(pool, effect, shape) for shape in _grid(effect, acting)]
+        grid = sorted({shape for observations in acting for shape in effect.shape_grid(observations)})
+        shaped = [shaped_at(pool, effect, shape) for shape in _strongest(pool, effect, grid, len(acting))]
         showing = [s for s in shaped if _acts(pool, s)]
         checked = tuple(s for s in showing if len(s.columns) < spare)
         if checked:
-            found.append(Candidate(effect.id, checked, effect))
+            found.append(Candidate(effect.id, checked, effect, equally=len(grid) if len(grid) > len(shaped) else 0))
         elif showing:
             excluded[effect.id] = "too few readings: it would leave none that check it"
         else:
@@ -172,12 +173,12 @@ def to_some_percent(pool: Pool, candidate: Candidate, signal: Array, scale: floa
     return replace(candidate, shapes=tuple(replace(s, law=law, law_unit=1.0 / scale) for s in candidate.shapes))
 
 
-def _grid(effect: Effect, acting: Sequence[Observations]) -> list[tuple[float, ...]]:
-    """Nonlinear coefficients that are tried for an effect in the sessions in which it can act."""
-    grid = sorted({shape for observations in acting for shape in effect.shape_grid(observations)})
-    if len(acting) > 1 and len(grid) > _MOST_SHAPES:
-        grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, _MOST_SHAPES).round().astype(int))]
-    return grid
+def _strongest(pool: Pool, effect: Effect, grid: Sequence[tuple[float, ...]], sessions: int) -> list[tuple[float, ...]]:
+    """Nonlinear coefficients that are searched: of very many those that explain most of the residuals by themselves."""
+    if len(grid) <= (_MOST_SHAPES if sessions == 1 else _MOST_OF_SEVERAL):
+        return list(grid)
+    gains = explained(pool.fit, effect, grid)[0]
+    return [grid[k] for k in sorted(np.argsort(gains)[-_SEARCHED:])]
 
 
 def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> ShapedColumns:
