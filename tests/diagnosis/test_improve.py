@@ -4,6 +4,7 @@
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.improvement import improvement_words
 from machine_tool_calibration.reports.verdict import headline
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import say
 
 from .. import plates
 from ..diagnosed import diagnosed
@@ -274,3 +276,39 @@ def test_where_nothing_is_added_the_diagnosis_is_said() -> None:
     told = improvement_words(done)
     assert not done.accepted and str(headline(done.diagnosis)) in told and "follows_side_x" in told
     assert keys(told)[:2] == ["improved.nothing", "diagnosis.none_sure"]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "p_value", "said"),
+    [("unexplained", 1e-9, "improved.left"), ("adequate", 1e-9, "improved.scatters"), ("adequate", 0.5, None)],
+)
+def test_what_was_set_aside_and_what_is_left_are_said_beside_what_was_added(
+    verdict: str, p_value: float, said: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The residual that fell is that by the effects alone."""
+    monkeypatch.setattr(
+        "machine_tool_calibration.reports.improvement.headline", lambda found: say("diagnosis.unexplained")
+    )
+
+    def step(change: str, rms: float, before: object) -> SimpleNamespace:
+        result = SimpleNamespace(rms_residual=rms)
+        sizes = {"map_uncertainty": None, "residual_volumetric_error": lambda last: None}
+        return SimpleNamespace(change=change, result=result, before=before, **sizes)
+
+    first = step("", 9e-6, None)
+    aside = step("1 reading set aside", 3e-6, first)
+    fit = SimpleNamespace(p_value=p_value, birge_ratio=2.0)
+    done: Any = SimpleNamespace(
+        accepted=("backlash_x",),
+        steps=(first, aside, step("backlash_x", 1e-6, aside)),
+        diagnosis=SimpleNamespace(gross_errors=(1,), noise=SimpleNamespace(declared=3e-7)),
+        last=SimpleNamespace(verdict=verdict, accepted=(), fits=(fit,)),
+    )
+    told = improvement_words(done)
+    assert "from 3.00 µm to 1.00 µm" in told
+    assert [key for key in keys(told) if key.startswith("improved.")] == [
+        "improved.aside",
+        "improved.added",
+        "improved.residual",
+        *([said] if said else []),
+    ]

@@ -23,7 +23,7 @@ from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.reports.quantities import MOST_NAMED, probability, quantity, rounded
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.words import Said, Verbatim, say, together
+from machine_tool_calibration.words import Said, Verbatim, enumeration, say, together
 
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
@@ -137,7 +137,7 @@ def effect_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
         if fit.alternatives and (instead := fit.alternatives.of(name)):
             each = [f"{other} ({probability(share)})" for other, share in instead.items()]
             if name == BESIDE:
-                yield say("fit.beside", names=together(each, say("text.and")))
+                yield say("fit.beside", names=enumeration(each))
             else:
                 yield say("fit.alternatives", name=name, others=together(each, say("diagnosis.or")))
     unknowns = fit.assembly.unknowns

@@ -6,6 +6,7 @@ from typing import Any
 
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
+from machine_tool_calibration.model.result import fit_quality
 from machine_tool_calibration.reports.goodness import effect_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
@@ -79,6 +80,8 @@ def improvement_words(done: Improvement) -> str:
         said.append(say(key, names=", ".join(done.accepted), fell=fell, grows=grows))
         if last.verdict == "unexplained":
             said.append(say("improved.left", found=headline(last)))
+        elif not last.accepted and fit_quality(last.fits[-1].p_value) == "bad":
+            said.append(say("improved.scatters", ratio=rounded(last.fits[-1].birge_ratio)))
         return together(said)
     if found.verdict == "outliers":
         return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
