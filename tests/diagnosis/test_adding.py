@@ -44,7 +44,7 @@ def test_a_size_that_others_hide_is_judged_beside_them(
     def spurious(_: Any, __: Any, names: tuple[str, ...], ___: Any) -> dict[str, str]:
         return {"a": "no size"} if "a" in names and not set(hidden_by) <= set(names) else {}
 
-    for name, answer in {"_settled": None, "_hold": None, "_changes_nothing": None}.items():
+    for name, answer in {"_hold": None, "_changes_nothing": None}.items():
         monkeypatch.setattr(adding, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(adding, "_spurious", spurious)
     search: Any = SimpleNamespace(of=lambda name: SimpleNamespace(plausible=True, p_value=0.0), memory=1.0)

@@ -638,3 +638,17 @@ def test_a_screw_that_is_slower_than_the_session_has_its_size_and_its_name(tau: 
         found = sizes[f"screw_growth_x.{name}"]
         assert abs(found.value - true) < 2.0 * found.standard_uncertainty < true
     assert diagnose(session).accepted == ("screw_growth_x",)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_an_axis_that_the_model_has_as_a_rigid_body_is_none_that_yields(named: bool) -> None:
+    """A plate that is off along X by x y: yaw of X without a lever arm, or what no rigid body does."""
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 0.4, 9), np.linspace(0.0, 0.3, 7)))
+    x, y, along_x = np.tile(x, 4), np.tile(y, 4), np.repeat([1.0, 1.0, 0.0, 0.0], x.size)
+    noise = 0.3e-6 * np.random.default_rng(5).standard_normal(x.size)
+    columns = {"x": x, "y": y, "z": 0.0 * x, "gx": along_x, "gy": 1.0 - along_x, "gz": 0.0 * x}
+    columns["displacement"] = 8e-5 * x * y * along_x + noise
+    terms = ("EXX", "EYX", "EXY", "EYY", "C0Y", *(["ECX"] if named else []))
+    found = diagnose(plates.session(columns, 0.3e-6, "offset", terms))
+    assert (found.verdict, found.accepted) == (("unexplained", ()) if named else ("missing_effect", ("ECX",)))
+    assert not named or found.left[0].covariate == "x and y"

@@ -113,7 +113,9 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
         ({"formula": "b * (time + x) * exp(-time / tau)"}, "a quantity in second where one in meter"),
         ({"formula": "b * dir_y"}, "does not hold the coefficient 'tau'"),
         ({"formula": "b * 0 * dir_y * exp(-time / tau)"}, "the formula is zero whatever b is"),
-        ({"formula": "b * dir_y * exp(-time / tau) +"}, "not understood at character 31"),
+        ({"formula": "b * dir_y * exp(-time / tau) +"}, "not understood at character 31; numbers, names, + - * /"),
+        ({"enters": "ECQ"}, "must be x, y, z, reading, or an error motion by ISO 230-1"),
+        ({"enters": "ECC"}, "the formula gives m, and not an angle"),
         ({"enters": "q"}, "enters"),
         ({"colour": "red"}, "colour"),
         ({"coefficients": {"b": {"unit": "m", "low": 1e-5, "high": -1e-5}}}, "low to high, not 1e-05 to -1e-05"),
@@ -217,6 +219,37 @@ def test_a_formula_equals_the_built_in_effect_that_it_spells_out() -> None:
     )
     expected = catalogue()["backlash_y"].columns(observations)
     np.testing.assert_allclose(spelled.columns(observations), expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("preset", "enters", "formula", "same"),
+    [
+        ("rotary_axis", "ECC", "-b * dir_c", "backlash_c"),
+        ("rotary_axis", "EBC", "b * time", "rotary_axis_drift.wb"),
+        ("rotary_axis", "EXC", "b * time", "rotary_axis_drift.vx"),
+        ("tracking_3d", "ECX", "-b * dir_x", "reversal_ECX"),
+    ],
+)
+def test_a_formula_may_be_an_error_motion_of_a_linear_or_the_rotary_axis(
+    preset: str, enters: str, formula: str, same: str
+) -> None:
+    observations = build_model(simulate(SimulationSpec(plan=PRESETS[preset], seed=3)).session)[0].observations
+    rate = {"unit": ("1" if enters[1] in "ABC" else "m") + ("/s" if "time" in formula else ""), "low": -1, "high": 1}
+    mine = FormulaEffect({"id": "mine", "enters": enters, "formula": formula, "coefficients": {"b": rate}})
+    assert mine.why_not(observations) is None
+    name, _, coefficient = same.partition(".")
+    known = catalogue()[name]
+    names = [c.name for c in known.coefficients_for(observations)]
+    expected = known.columns(observations)[names.index(coefficient) if coefficient else 0]
+    assert np.abs(expected).max() > 0.01
+    np.testing.assert_allclose(mine.columns(observations)[0], expected, rtol=1e-12, atol=1e-15)
+
+
+def test_of_an_axis_that_is_not_there_nothing_is_sensed() -> None:
+    observations = build_model(simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=3)).session)[0].observations
+    angle = {"id": "mine", "formula": "b * time", "coefficients": {"b": {"unit": "1/s", "low": -1, "high": 1}}}
+    assert not FormulaEffect(angle | {"enters": "ECA"}).columns(observations).any()
+    assert FormulaEffect(angle | {"enters": "ECX"}).why_not(observations) == "the chain has no axis X"
 
 
 def _moved(readings, change):  # type: ignore[no-untyped-def]

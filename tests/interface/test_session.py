@@ -123,7 +123,7 @@ def test_bad_input_is_one_line(session: mtcal.Measurement, fit: mtcal.Fit, tmp_p
         "does not occur in direct": lambda: mtcal.simulate("iso230_2", effects="dead_path"),
         "unknown effect 'backlsh'": lambda: mtcal.identify(session, effects="backlsh"),
         "named twice": lambda: mtcal.identify(session, effects="backlash_x").add("backlash_x"),
-        "in the catalogue already": lambda: mtcal.catalogue([own("q * dir_x"), own("q * dir_x")]),
+        "two effects of yours have the name": lambda: mtcal.catalogue([own("q * dir_x"), own("q * dir_x")]),
         "does not hold the coefficient": lambda: own("dir_x"),
         "effect mine: enters": lambda: mtcal.Effect("mine", "q", enters="w", coefficients={"q": ("m", -1.0, 1.0)}),
         "no picture 'stars'; there are": lambda: fit.plot("stars"),

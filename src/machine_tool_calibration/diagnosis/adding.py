@@ -69,7 +69,6 @@ def add_probable(
         else:
             try:
                 wider = fit_with((*accepted, name))
-                _settled(wider.joint)
                 _hold(fitted[-1].error_map, wider.error_map)
                 late = _spurious(search, first.joint, (*accepted, name), fit_with)
             except ModelError as error:
@@ -92,14 +91,6 @@ def add_probable(
         one = _least_needed(unsized, accepted, fit_with)
         return again({**spurious, one: _no_size(accepted)}, deferred)
     return Added(tuple(accepted), tuple(fitted), refused, impossible)
-
-
-def _settled(fit: JointFit) -> None:
-    """A ModelError if the iteration did not come to rest: unknowns so nearly interchangeable that no step is small."""
-    squares = sum(float(np.sum((own.residuals / own.model.sigma) ** 2)) for own in fit.fits)
-    expected = fit.solution.chi_square
-    if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.assembly.problem.priors is None:
-        raise ModelError("together with the model's own unknowns the data does not determine it")
 
 
 def _changes_nothing(before: JointFit, after: JointFit, name: str, memory: float) -> Said | None:

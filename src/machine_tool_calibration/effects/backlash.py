@@ -4,8 +4,10 @@
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, axis_direction, table_axis
+from machine_tool_calibration.effects.effect import Coefficient, table_axis
+from machine_tool_calibration.effects.error_motion import sensed_motion
 from machine_tool_calibration.effects.families import ReversalEffect
+from machine_tool_calibration.machine.error_motions import ErrorMotion
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -48,6 +50,5 @@ class RotaryBacklash(ReversalEffect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The table turns about its axis; what is on it moves across its radius."""
-        moved = np.cross(observations.session.rotation_sign * axis_direction(self.axis), observations.position)
-        sensed = np.einsum("nj,nj->n", moved, observations.table_direction)
-        return np.asarray(-self.approach(observations) * sensed)[None]
+        turn = ErrorMotion(self.axis.upper(), self.axis.upper())
+        return np.asarray(-self.approach(observations) * sensed_motion(observations, turn))[None]

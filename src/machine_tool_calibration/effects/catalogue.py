@@ -103,11 +103,14 @@ def catalogue(own: Sequence[Effect] = (), recorded: Sequence[str] = ()) -> dict[
         taken = {name for effect in out.values() for name in effect.needs}.difference(NUMERIC_COLUMNS)
         for effect in recorded_effects([name for name in recorded if name not in taken]):
             out.setdefault(effect.id, effect)
+    mine = dict[str, Effect]()
     for effect in own:
+        if effect.id in mine:
+            raise ModelError(f"two effects of yours have the name {effect.id!r}")
         if effect.id in out:
             raise ModelError(f"the effect {effect.id!r} is in the catalogue already; give yours another name")
-        out[effect.id] = effect
-    return out
+        mine[effect.id] = effect
+    return out | mine
 
 
 def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]:

@@ -95,6 +95,8 @@ class Effect(ABC):
             return f"does not occur with instrument {instrument}"
         for name in self.needs:
             values = observations.readings.columns.get(name)
+            if values is None and name in observations.readings.labels:
+                return f"the column {name} holds texts, and no numbers"
             if values is None:
                 axis = name.rpartition("_")[2].upper()
                 if axis in ("X", "Y", "Z") and axis not in observations.session.description.machine.kinematics.linear:

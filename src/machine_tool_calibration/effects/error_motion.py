@@ -4,7 +4,7 @@
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, table_axis
 from machine_tool_calibration.machine.error_motions import (
     SQUARENESS,
     ErrorMotion,
@@ -31,8 +31,10 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
 
     The lever arm of a rotation is that of the chain, and a flat mirror turns with it. Where the chain gives no arm in
     the measured plane, the carriage is taken to turn about the machine's zero; but not for circles, of which the
-    places are no more than lengths from one centre.
+    places are no more than lengths from one centre. Of a rotary axis it moves what is on the table.
     """
+    if motion.axis in "ABC":
+        return _sensed_on_table(observations, motion)
     field = motion_field(observations.session.description.machine.kinematics, motion, observations.position)
     if not motion.is_rotation:
         return np.asarray(np.einsum("nj,nj->n", field, observations.direction))
@@ -46,6 +48,16 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
         field = np.cross(np.eye(3)[component], arm)
     along = np.einsum("nj,nj->n", field, observations.direction)
     return np.asarray(along if turned is None else along + turned[:, component])
+
+
+def _sensed_on_table(observations: Observations, motion: ErrorMotion) -> Array:
+    if table_axis(observations) != motion.axis:
+        return np.zeros(len(observations))
+    unit = np.eye(3)["XYZABC".index(motion.component) % 3]
+    if motion.component == motion.axis:  # counted as the axis turns
+        unit = observations.session.rotation_sign * unit
+    moved = np.cross(unit, observations.position) if motion.is_rotation else np.tile(unit, (len(observations), 1))
+    return np.asarray(np.einsum("nj,nj->n", moved, observations.table_direction))
 
 
 def why_no_angle(observations: Observations, motion: ErrorMotion) -> str | None:

@@ -4,7 +4,7 @@
 effects:
 - id: creep_y
 title: creep of the Y slide after a move
-enters: y                  # x, y, z: displacement of that axis; reading: the reading itself
+enters: y                  # x, y, z: displacement of that axis; ECX, EBC …: that error motion; reading: the reading
 formula: b * dir_y * exp(-time / tau)
 coefficients: {b: {unit: m, low: -1.0e-5, high: 1.0e-5}}
 shapes: {tau: {unit: s, low: 10, high: 1.0e4}}
@@ -24,16 +24,18 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from tokenize import TokenError
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import pint
 from pint.errors import DefinitionSyntaxError, UndefinedUnitError
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
+from machine_tool_calibration.effects.error_motion import sensed_motion
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine.error_motions import ERROR_MOTION, parse_motion
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.record import Record, place_in, validated
 from machine_tool_calibration.session.text import read_yaml
@@ -122,7 +124,8 @@ def parse(text: str) -> Expression:
     except SyntaxError as error:
         place = max(error.offset or len(plain) + 1, 1)  # 0 where something is missing at the end
         place -= len(_NAME.findall(plain[: place - 1]))
-        raise ModelError(f"formula {shown}: not understood at character {place}") from None
+        known = f"numbers, names, + - * / ** ^ ( ) and {', '.join(sorted(_FUNCTIONS))} are"
+        raise ModelError(f"formula {shown}: not understood at character {place}; {known}") from None
     except (RecursionError, MemoryError):
         raise ModelError(f"formula {shown}: nested too deeply, or too long a sum") from None
     return expression
@@ -218,13 +221,20 @@ class _Constant(Record):
 class _Definition(Record):
     id: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,60}$")]
     title: str = ""
-    enters: Literal["x", "y", "z", "reading"]
+    enters: str
     formula: str
     coefficients: Annotated[dict[str, _Unknown], Field(min_length=1)]
     shapes: Annotated[dict[str, _Unknown], Field(max_length=1)] = Field(default_factory=dict)
     columns: dict[str, str] = Field(default_factory=dict)
     constants: dict[str, _Constant] = Field(default_factory=dict)
     source: str = "the user's own formula"
+
+    @field_validator("enters")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if value not in ("x", "y", "z", "reading") and not re.fullmatch(ERROR_MOTION, value):
+            raise ValueError("must be x, y, z, reading, or an error motion by ISO 230-1 such as ECX")
+        return value
 
 
 class FormulaEffect(Effect):
@@ -248,7 +258,9 @@ class FormulaEffect(Effect):
         self._expression = parse(definition.formula)
         self.id = definition.id
         self.title = definition.title or definition.id
-        self.formula = f"{'' if definition.enters == 'reading' else 'e_'}{definition.enters} = {definition.formula}"
+        self.formula = f"{'e_' if definition.enters in 'xyz' else ''}{definition.enters} = {definition.formula}"
+        self._motion = parse_motion(definition.enters) if definition.enters.isupper() else None
+        self.chain = self.moves = self._motion.axis if self._motion is not None and self._motion.axis in "XYZ" else ""
         self.source = definition.source
         self.kind = "reading" if definition.enters == "reading" else "position"
         self.coefficients = tuple(Coefficient(n, *u.in_si(n), u.meaning) for n, u in definition.coefficients.items())
@@ -277,9 +289,11 @@ class FormulaEffect(Effect):
             unit_of_value = self._expression.unit(units)
         except ModelError as error:
             raise ModelError(f"{error}{self._without_unit()}") from None
-        if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
+        turns = self._motion is not None and self._motion.is_rotation
+        meant, what = ("rad", "an angle") if turns else ("m", "a length")
+        if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit(meant).dimensionality:
             gives = f"{unit_of_value:~P}" or "a plain number"
-            raise ModelError(f"the formula gives {gives}, and not a length{self._without_unit()}")
+            raise ModelError(f"the formula gives {gives}, and not {what}{self._without_unit()}")
 
     def _without_unit(self) -> str:
         """How a constant or coefficient of the formula that states no unit gets one; for the end of a message."""
@@ -360,6 +374,8 @@ class FormulaEffect(Effect):
             raise ModelError(f"effect {self.id}: the formula has no finite value for some readings")
         if self._definition.enters == "reading":
             return columns
+        if self._motion is not None:
+            return np.asarray(columns * sensed_motion(observations, self._motion))
         return np.asarray(columns * (observations.direction @ axis_unit(self._definition.enters)))
 
 

@@ -50,7 +50,8 @@ class Effect(FormulaEffect):
             id: letters, digits, `_`; not one of the catalogue.
             formula: numbers, names, `+ - * / ** ^ ( )`, `sin cos tan exp log sqrt abs sign`; a length, m. Names that
                 are neither coefficients nor constants are columns of the session, or `path` and `pi`.
-            enters: `x`, `y`, `z`: a displacement of that axis; `reading`: the reading itself.
+            enters: `x`, `y`, `z`: a displacement of that axis; `reading`: the reading itself; `ECX`, `EBC` …: that
+                error motion by ISO 230-1 of a linear or of the rotary axis, with its lever arm (a rotation in rad).
             coefficients: unknowns that the formula is linear in, with unit (SI) and plausible range.
             shapes: at most one unknown that it is not linear in, likewise.
             title: in a few words.

@@ -71,9 +71,13 @@ class ErrorMotion(NamedTuple):
         return self.axis in "XYZ" and self.component in "XYZ" and self.axis != self.component
 
 
+ERROR_MOTION = "E([XYZABC])([XYZABC])"
+"""Name of an error motion by ISO 230-1: what moves, and with which axis."""
+
+
 def parse_motion(name: str) -> ErrorMotion:
     """Read a name such as EXX or ECY; a ModelError if it is not the name of an error motion."""
-    match = re.fullmatch(r"E([XYZABC])([XYZABC])", name)
+    match = re.fullmatch(ERROR_MOTION, name)
     if not match:
         raise ModelError(f"{name!r} is not an error motion of ISO 230-1, such as EXX or ECY")
     return ErrorMotion(match.group(2), match.group(1))

@@ -48,7 +48,8 @@ class Observations:
     # (k, n) what curves between the nodes of the tables of a joint fit do to the readings, of a size of about 1; None
     # where all were taken at nodes
     curves: Array | None = None
-    # rotations (EAX … ECZ) of which the sessions of a joint fit sense the lever arm that the chain gives
+    # rotations (EAX … ECZ) with the lever arm that the chain gives: which the sessions of a joint fit sense, and which
+    # the session's model names, whether they move the tool point or not
     rigid: frozenset[str] = frozenset()
 
     def __len__(self) -> int:

@@ -42,7 +42,9 @@ class OwnEffect:
     def __init__(self, state: State, known: Callable[[str], None]) -> None:
         self._state, self._known = state, known
         self._name = pn.widgets.TextInput(name="Name", value="my_effect", width=130)
-        self._enters = pn.widgets.Select(name="Enters", options=["x", "y", "z", "reading"], value="y", width=90)
+        self._enters = pn.widgets.Select(
+            name="Enters", options=["x", "y", "z", "reading", "EAC", "EBC", "ECC"], value="y", width=90
+        )
         self._formula = pn.widgets.TextInput(name="Formula (a length, m)", value="b * dir_y", width=330)
         self._linear = pn.widgets.TextInput(name="Unknowns: name unit low high, …", value="b m -2e-5 2e-5", width=270)
         self._shape = pn.widgets.TextInput(name="One that is not linear (tau s 10 1e4)", value="", width=250)

@@ -19,6 +19,7 @@ from machine_tool_calibration.diagnosis.search.structure import (
     _products,
     structure_candidates,
 )
+from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Parameter, Term
@@ -313,3 +314,14 @@ def test_targets_that_differ_are_said_to() -> None:
     assert found.verdict == "unexplained" and not found.accepted
     assert found.search.structure[0].covariate == "column target"
     assert found.search.structure[0].share > 0.8
+
+
+def test_a_reversal_of_the_table_that_differs_from_angle_to_angle_is_named() -> None:
+    """By 20 urad times the sine of twice the angle: it had been a wave in time."""
+    session = plan("rotary_axis")
+    seen = build_model(session)[0].observations
+    turned = -2e-5 * np.sin(2.0 * session.readings.columns["c"]) * catalogue()["backlash_c"].columns(seen)[0]
+    changed = replace(session.readings, displacement=session.readings.displacement - turned)
+    found = diagnose(session.with_readings(changed))
+    assert found.verdict == "unexplained"
+    assert found.left[0].covariate == "dir_c and c"

@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.events import ENOUGH, Explained, events
 from machine_tool_calibration.diagnosis.search.evidence import gram_of
+from machine_tool_calibration.effects.backlash import RotaryBacklash
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
@@ -116,7 +117,7 @@ def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
             continue
         functions = {"its_sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(within)}
         if name in _ANGLES:
-            functions["periodic"] = np.array([wave(k * values) for k in _ORDERS for wave in (np.sin, np.cos)])
+            functions["periodic"] = _waves(values)
         displaces = name in _SIGNS or name == "time" or "temperature" in name
         covariate = named("column", name)
         for shape, columns in functions.items():
@@ -127,6 +128,10 @@ def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
             if displaces and len(axes) > 1:
                 every = np.concatenate([columns * along for _, along in axes])
                 yield covariate, say("shape.displacement", shape=how, axis=", ".join(axis for axis, _ in axes)), every
+
+
+def _waves(angle: Array) -> Array:
+    return np.array([wave(k * angle) for k in _ORDERS for wave in (np.sin, np.cos)])
 
 
 def _smooth(scaled: Array) -> Array:
@@ -158,6 +163,12 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
                 if other == axis and len(places := _from_place_to_place(scaled, sign)):
                     yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
+    for axis in "abc":
+        backlash = RotaryBacklash(axis)
+        if backlash.why_not(observations) is None:
+            angle, (along,) = observations.readings.column(axis), backlash.columns(observations)
+            both = say("shape.axes", one=named("column", f"dir_{axis}"), other=axis)
+            yield both, say("shape.lost_motion", axis=axis.upper(), other=axis), _waves(angle) * along
 
 
 def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said, Array]]:

@@ -174,9 +174,10 @@ def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: 
     length = np.linalg.norm(direction, axis=1)
     direction = direction / length[:, None]
     path = np.einsum("nj,nj->n", position, direction)
-    observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)
-    setups = datum.setup_datum(description.datum, observations)
     asked, chain = description.terms if terms is None else tuple(terms), description.machine.kinematics
+    still, rigid = np.zeros_like(direction), frozenset(asked)
+    observations = Observations(session, readings, position, direction, still, path, readings.setup, rigid=rigid)
+    setups = datum.setup_datum(description.datum, observations)
     # The one place of a drift's recording is off by something, which is no effect of the time.
     free |= terms is None and not asked and description.datum == "none" and not observations.moves
     made = partial(DirectModel, observations=observations, priors=(), setups=setups)

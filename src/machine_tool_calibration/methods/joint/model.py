@@ -98,7 +98,11 @@ def _acquainted(models: Sequence[MethodModel]) -> list[MethodModel]:
         if every.size:
             covered[axis] = (float(every.min()), float(every.max()))
     rigid = frozenset[str]().union(*(sensed_lever_arms(model.observations) for model in models))
-    return [replace(model, observations=replace(model.observations, covered=covered, rigid=rigid)) for model in models]
+    seen = [model.observations for model in models]
+    return [
+        replace(model, observations=replace(own, covered=covered, rigid=rigid | own.rigid))
+        for model, own in zip(models, seen, strict=True)
+    ]
 
 
 def _compatible(one: Chain, other: Chain) -> bool:
