@@ -37,6 +37,8 @@ from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulat
         (1.3e-5, "rad", 1.4e-7, "13.00 ± 0.28 µrad"),
         (7.4e-6, "1/K", 5e-7, "7.4 ± 1.0 µm/(m K)"),
         (1e-10, "m/s", None, "0.360 µm/h"),
+        (7.8e-6, "1/m/K", 1.5e-7, "7.80 ± 0.30 ×10⁻⁶ 1/m/K"),
+        (-2.5e-8, "1/m/K", None, "-25.0 ×10⁻⁹ 1/m/K"),
         (5480.0, "s", None, "91.3 min"),
         (0.0, "m", None, "0 µm"),
         (0.25, "1", 0.1, "0.25 ± 0.20"),

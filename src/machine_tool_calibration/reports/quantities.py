@@ -65,7 +65,9 @@ def expanded_text(expanded: float, unit: str = "m") -> str:
 
 def _scale(unit: str, size: float) -> tuple[float, str]:
     """Factor from SI to the unit that people use for a value of that size, and that unit."""
-    factor, shown = next(((f, u) for low, f, u in _SCALES.get(unit, ()) if size >= low), (1.0, unit))
+    # of a user's own formula
+    other = ((1e-3, 1.0, unit), (1e-7, 1e6, f"×10⁻⁶ {unit}"), (1e-300, 1e9, f"×10⁻⁹ {unit}"))
+    factor, shown = next(((f, u) for low, f, u in _SCALES.get(unit, other) if size >= low), (1.0, unit))
     return factor, "" if shown == "1" else shown
 
 
