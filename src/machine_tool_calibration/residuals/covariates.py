@@ -6,6 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.effects.error_motion import sensed_motion
+from machine_tool_calibration.machine.error_motions import ErrorMotion
 from machine_tool_calibration.model.observations import Observations, azimuth
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -43,9 +45,7 @@ def sensed(observations: Observations, axis: str) -> Array:
     """(n,) change of each reading with a displacement of x, y or z, 1, or with a turn of a, b or c, m/rad."""
     if axis in "xyz":
         return observations.direction[:, "xyz".index(axis)]
-    about = float(observations.session.rotation_sign) * np.eye(3)["abc".index(axis)]
-    turned = np.cross(about, observations.position)
-    return np.asarray(np.einsum("nj,nj->n", turned, observations.table_direction))
+    return sensed_motion(observations, ErrorMotion(axis.upper(), axis.upper()))
 
 
 def rank_covariates(values: Mapping[str, Array], residual: Array, most: int = _BINS) -> list[tuple[str, float]]:

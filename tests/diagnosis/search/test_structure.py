@@ -325,3 +325,15 @@ def test_a_reversal_of_the_table_that_differs_from_angle_to_angle_is_named() -> 
     found = diagnose(session.with_readings(changed))
     assert found.verdict == "unexplained"
     assert found.left[0].covariate == "dir_c and c"
+
+
+def test_a_reversal_that_grows_with_the_time_is_named() -> None:
+    """From nothing to 8 um in the hour."""
+    session = plan("tracking_2d")
+    seen = build_model(session)[0].observations
+    grown = session.readings.columns["time"] / np.ptp(session.readings.columns["time"])
+    moved = 8e-6 * grown * catalogue()["backlash_y"].columns(seen)[0]
+    changed = replace(session.readings, displacement=session.readings.displacement + moved)
+    found = diagnose(session.with_readings(changed))
+    assert found.accepted in ((), ("backlash_y",))
+    assert found.left[0].covariate == "dir_y and time"

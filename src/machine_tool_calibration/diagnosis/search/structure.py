@@ -12,15 +12,15 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns
 from machine_tool_calibration.diagnosis.search.events import ENOUGH, Explained, events
 from machine_tool_calibration.diagnosis.search.evidence import gram_of
-from machine_tool_calibration.effects.backlash import RotaryBacklash
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import SAME_DIRECTION, SAME_POSITION, Observations
-from machine_tool_calibration.residuals.covariates import covariates
+from machine_tool_calibration.residuals.covariates import covariates, sensed
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.words import Said, named, say, together
 
 _DEGREE = 4
@@ -153,22 +153,32 @@ def _products(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
 
 
 def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    for axis, direction in zip("xyz", observations.direction.T, strict=True):
+    for axis in "xyzabc":
         sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
-        along = sign * direction
+        along = sign * sensed(observations, axis)
         # Where the direction of approach is unknown for some readings, the last is not a number.
-        if len(np.unique(sign[sign != 0])) == 2 and np.ptp(along) >= SAME_DIRECTION:
-            for other, scaled in _positions(observations).items():
-                both = say("shape.axes", one=named("column", f"dir_{axis}"), other=other)
-                yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
-                if other == axis and len(places := _from_place_to_place(scaled, sign)):
-                    yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
-    for axis in "abc":
-        backlash = RotaryBacklash(axis)
-        if backlash.why_not(observations) is None:
-            angle, (along,) = observations.readings.column(axis), backlash.columns(observations)
+        if len(np.unique(sign[sign != 0])) < 2 or not np.ptp(along) >= SAME_DIRECTION:
+            continue
+        functions = {name: values[None] for name, values in _slowly(observations).items()}
+        if axis in "abc":
+            functions[axis] = _waves(observations.readings.column(axis))
+        else:
+            functions |= {other: _smooth(scaled) for other, scaled in _positions(observations).items()}
+        for name, values in functions.items():
+            both = say("shape.axes", one=named("column", f"dir_{axis}"), other=named("column", name))
+            yield both, say("shape.lost_motion", axis=axis.upper(), other=named("column", name)), values * along
+        itself = _positions(observations).get(axis)
+        if itself is not None and len(places := _from_place_to_place(itself, sign)):
             both = say("shape.axes", one=named("column", f"dir_{axis}"), other=axis)
-            yield both, say("shape.lost_motion", axis=axis.upper(), other=axis), _waves(angle) * along
+            yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
+
+
+def _slowly(observations: Observations) -> dict[str, Array]:
+    """Time and columns of the user's own, from -1 to 1: with what a reversal may change besides the place."""
+    columns = observations.readings.columns
+    names = [name for name in columns if name == "time" or name not in NUMERIC_COLUMNS]
+    scaled = {name: scaled_values(columns[name]) for name in names}
+    return {name: values for name, values in scaled.items() if values is not None}
 
 
 def _constants_of_texts(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
