@@ -337,3 +337,18 @@ def test_a_reversal_that_grows_with_the_time_is_named() -> None:
     found = diagnose(session.with_readings(changed))
     assert found.accepted in ((), ("backlash_y",))
     assert found.left[0].covariate == "dir_y and time"
+
+
+def test_a_beam_that_bends_with_a_recorded_gradient_is_named() -> None:
+    """By the gradient times the square of the path: a smooth function of some temperature had stood for it."""
+    session = plan("tracking_3d")
+    readings, seen = session.readings, build_model(session)[0].observations
+    gradient = np.sin(readings.columns["time"] / 900.0) + 0.3 * np.random.default_rng(4).standard_normal(len(readings))
+    bent = replace(
+        readings,
+        displacement=readings.displacement + 4e-6 * gradient * seen.path**2,
+        columns=readings.columns | {"gradient": gradient},
+    )
+    found = diagnose(session.with_readings(bent))
+    assert found.verdict == "unexplained"
+    assert found.left[0].covariate == "gradient and path"

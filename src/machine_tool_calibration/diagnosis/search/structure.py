@@ -200,11 +200,15 @@ def _each(group: IntArray) -> BoolArray:
 
 
 def _path_scales(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    """Beams that differ by their wavelength."""
+    """Beams that differ by their wavelength, and a beam in which it changes or that bends with something."""
     setup = observations.readings.setup
     own, path = _each(setup), within(observations.path, setup)
-    if not spec_of(observations.session).reads_machine and path.any():
-        yield named("column", "setup"), say("shape.path_scales"), own * path
+    if spec_of(observations.session).reads_machine or not path.any():
+        return
+    yield named("column", "setup"), say("shape.path_scales"), own * path
+    for name, values in _slowly(observations).items():
+        both = say("shape.axes", one=named("column", name), other=named("column", "path"))
+        yield both, say("shape.path_product"), np.array([values * observations.path, values * observations.path**2])
 
 
 def _slopes(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
