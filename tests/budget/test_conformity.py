@@ -126,12 +126,19 @@ def test_squareness_by_the_normal_distribution() -> None:
 def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., Session]) -> None:
     """A slope is no straightness error; a deviation of 6 µm in the middle of five is."""
     x = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
-    session = runs(np.tile(20e-6 * x + np.array([0, 0, 6e-6, 0, 0]), 4), terms=["EYX"])
-    columns = {**session.readings.columns, "gx": np.zeros(20), "gy": np.ones(20)}
-    across = replace(session.readings, columns=columns)
-    found = one(judged(fit_sessions(session.with_readings(across)), {"EYX": 10e-6}))
+
+    def of_eyx(slope: float, tolerance: float) -> Verdict:
+        session = runs(np.tile(slope * x + np.array([0, 0, 6e-6, 0, 0]), 4), terms=["EYX"])
+        columns = {**session.readings.columns, "gx": np.zeros(20), "gy": np.ones(20)}
+        across = replace(session.readings, columns=columns)
+        return one(judged(fit_sessions(session.with_readings(across)), {"EYX": tolerance}))
+
+    found = of_eyx(20e-6, 10e-6)
     assert found.value == pytest.approx(6e-6)
     assert found.decision == "pass"
+    # Beyond the tolerance by noise alone, perhaps: as probable whatever the slope.
+    beyond = of_eyx(20e-6, 5.2e-6).probability
+    assert beyond == pytest.approx(of_eyx(0.0, 5.2e-6).probability) and 0.01 < beyond < 0.3
 
 
 @pytest.mark.long

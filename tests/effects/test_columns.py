@@ -13,7 +13,7 @@ import pytest
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.effect_terms import common_shape
+from machine_tool_calibration.effects.effect_terms import common_shape, unbounded
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
@@ -355,6 +355,30 @@ def test_a_time_constant_is_found_between_those_that_are_tried_first() -> None:
     (tau,), ((size, *_),) = common_shape(joint, catalogue()["warmup_x"], [(100.0,), (1000.0,), (10000.0,)])
     assert tau == pytest.approx(700.0, rel=0.02) and size == pytest.approx(1e-5, rel=0.02)
     assert common_shape(joint, catalogue()["warmup_x"], [(400.0,)])[0] == (400.0,)
+
+
+@pytest.mark.parametrize(
+    ("fitted", "published", "scatter", "expected"),
+    [
+        ((20.0, 30.0), (20.0, 30.0), 1.0, False),
+        ((20.0, 30.0), (20.0, 30.0), 5.0, True),  # the readings scatter more than declared
+        ((20.0, 30.0), (20.0, 130.0), 1.0, True),  # what does not reproduce hides it
+        ((-120.0, 10.0), (20.0, 30.0), 1.0, True),  # below zero
+        ((20.0, 30.0), (150.0, 10.0), 1.0, True),  # far from where it was linearised
+    ],
+)
+def test_a_time_constant_is_a_number_where_it_is_surer_than_large(
+    fitted: tuple[float, float], published: tuple[float, float], scatter: float, expected: bool
+) -> None:
+    """Steps from 100 s and their standard uncertainties, s, by least squares and as they are published."""
+    either = [
+        SimpleNamespace(theta=[m], covariance=np.array([[u**2]]), determined=[True]) for m, u in (fitted, published)
+    ]
+    parameters = [SimpleNamespace(name="warmup_x.tau", reference=100.0)]
+    fit: Any = SimpleNamespace(
+        solution=either[0], published=either[1], birge_ratio=scatter, assembly=SimpleNamespace(parameters=parameters)
+    )
+    assert unbounded(fit, catalogue()["warmup_x"]) is expected
 
 
 def test_what_follows_between_readings_is_the_solution_of_its_equation() -> None:

@@ -12,7 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
-from machine_tool_calibration.effects.vibration import _frequencies
+from machine_tool_calibration.effects.vibration import Vibration, _frequencies
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
@@ -174,6 +174,20 @@ def test_a_wave_of_an_unusual_lead_is_among_those_that_are_tried(lead: float) ->
     assert "pitch_periodic_x" in diagnose(session.with_readings(readings)).accepted
 
 
+def test_a_wave_is_seen_in_many_short_setups_that_each_lack_a_slope() -> None:
+    """Six places in each of 24: a line is taken off, and more would take the wave, too."""
+    rng, lead = np.random.default_rng(2), 8.7e-3
+    x = np.concatenate([np.sort(rng.choice(np.linspace(0.0, 0.36, 145), 6, replace=False)) for _ in range(24)])
+    run = np.repeat(np.arange(24), 6)
+    columns = {"x": x, "y": 0 * x, "z": 0 * x, "gx": 1 + 0 * x, "gy": 0 * x, "gz": 0 * x}
+    read = 2e-5 * rng.normal(size=24)[run] * x + 2e-6 * np.sin(2.0 * np.pi * x / lead) + 1e-7 * rng.normal(size=144)
+    session = plates.session(
+        {**columns, "displacement": read}, 1e-7, "offset", (), None, *map(str, range(24)), setup=run
+    )
+    tried = 1.0 / np.array(PitchPeriodic("x").shape_grid(build_model(session)[0].observations)).ravel()
+    assert np.abs(tried - 1.0 / lead).min() < 0.1 * 0.4 / 0.36
+
+
 @pytest.mark.long
 def test_a_wave_that_changes_its_sign_with_the_direction_is_told_from_one_that_does_not() -> None:
     """A motor's steps against friction, also at the shortest wave that places resolve; another wave is the map's."""
@@ -205,6 +219,14 @@ def test_a_vibration_is_looked_for_up_to_half_the_rate_of_the_fastest_run() -> N
     assert found[0] == pytest.approx(4.0 / 4.0)
     assert 50.0 - 1.0 / 10.0 < found[-1] < 50.0
     assert np.diff(found).max() < 1.0 / 10.0
+
+
+def test_in_each_run_a_vibration_may_have_any_phase() -> None:
+    readings = SimpleNamespace(setup=np.repeat([0, 0, 1], 50), repeat=np.repeat([0, 1, 0], 50))
+    clock = 0.01 * np.arange(150.0)
+    coefficients = Vibration("x").coefficients_for(SimpleNamespace(clock=clock, readings=readings))
+    assert [c.name for c in coefficients] == ["s1", "c1", "s2", "c2", "s3", "c3"]
+    assert all(c.low == -c.high < 0.0 for c in coefficients)
 
 
 OF_A_BEAM = {"dead_path", "refractive_index", "pointer_radial_error", "pointer_zero_offset", "pointer_axis_offset",

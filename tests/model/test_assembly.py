@@ -20,6 +20,14 @@ from ..line_model import Line
 X = np.linspace(-1.0, 1.0, 9)
 
 
+class Coarse(Line):
+    """Readings whose last digit is more than what was declared."""
+
+    @property
+    def sigma(self):
+        return 3.0 * self.declared_sigma
+
+
 def error_map(fit):
     points = np.zeros((1, 3))
     return ErrorMap({"points": points, "scale": fit.theta[1:2], "hole": np.array([np.nan])}, points, points, points)
@@ -74,6 +82,17 @@ def test_constraint_and_prior():
     assert known.solution.degrees_of_freedom == held.solution.degrees_of_freedom == 8
 
 
+def test_what_is_known_besides_the_readings_is_no_worse_for_their_scatter():
+    """A scale known as well as the readings were declared to tell it, which scatter five times as much."""
+    known = Prior({"scale": 1.0}, 2e-6, 1e-6 / np.linalg.norm(X))
+    joint = fit_models([line(2e-6 * X + 5e-6 * (-1.0) ** np.arange(9), priors=[known])])
+    scatter = joint.marginal.scatter
+    assert scatter > 4.0
+    # Its mean with what the readings say.
+    expected = known.sigma**2 * (scatter**2 + 1.0) / 4.0
+    assert joint.published.covariance[1, 1] == pytest.approx(expected)
+
+
 @pytest.mark.parametrize("again", [False, True])
 def test_other_readings_and_other_knowledge_are_weighted_as_those_before(again: bool):
     """A scale known as well as the readings tell it goes half the way that either goes."""
@@ -104,6 +123,10 @@ def test_p_value_and_predicted():
     (fit,) = joint.fits
     assert joint.reduced_chi_square == pytest.approx(joint.solution.chi_square / 7)
     assert 0.1 < joint.p_value < 0.5
+    # Readings that count less by their last digit are held against what was declared all the same.
+    rounded = fit_models([Coarse(**vars(fit.model))])
+    assert rounded.variance == pytest.approx(joint.variance / 9)
+    assert rounded.reduced_chi_square == pytest.approx(joint.reduced_chi_square)
     assert np.allclose(fit.predicted + fit.residuals, fit.model.observations.readings.displacement)
 
 

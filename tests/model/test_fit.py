@@ -16,7 +16,15 @@ from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import absorbed_by, changed, declared, drawn, fit_models, screen
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.model.result import ErrorMap, Estimate, effect_signal, lacks_reversal, map_change, map_rms
+from machine_tool_calibration.model.result import (
+    ErrorMap,
+    Estimate,
+    beside_reversal,
+    effect_signal,
+    lacks_reversal,
+    map_change,
+    map_rms,
+)
 from machine_tool_calibration.simulation import (
     PRESETS,
     DiagonalPlan,
@@ -167,4 +175,7 @@ def test_the_span_of_an_axis_is_its_travel_where_readings_fill_it(
 
 @pytest.mark.parametrize(("own", "lacks"), [(None, False), (1.0e-6, True), (1.9e-6, False)])
 def test_a_reversal_is_lacking_where_one_direction_scatters_less(own: float | None, lacks: bool) -> None:
-    assert lacks_reversal({"scatter": {"found": 2e-6, "one_direction": own}}) is lacks
+    content = {"scatter": {"found": 2e-6, "one_direction": own}}
+    assert lacks_reversal(content) is lacks
+    # What the map's uncertainty has of it is no scatter.
+    assert beside_reversal(content) == pytest.approx(0.5 if lacks else 1.0)

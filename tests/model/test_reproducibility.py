@@ -16,7 +16,14 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.reproducibility import DRIFT, PureError, offsets_apart, reproducibility, with_drift
+from machine_tool_calibration.model.reproducibility import (
+    DRIFT,
+    PureError,
+    _ways_round,
+    offsets_apart,
+    reproducibility,
+    with_drift,
+)
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
     axis_nodes,
@@ -98,6 +105,14 @@ def test_of_very_many_passes_those_of_one_direction_are_held_together() -> None:
     # Half the difference of the directions' means, each of 250 offsets.
     expected = 1e-6 / np.sqrt(2.0 * cycles)
     assert np.sqrt(fit.covariance[place, place]) == pytest.approx(expected, rel=0.25)
+
+
+def test_a_way_round_a_circle_ends_where_it_turns_and_with_its_run() -> None:
+    """There, twice the last reading, and back; the next run goes the same way as the one before it ended."""
+    angle = np.r_[np.linspace(0.0, 3.0, 7), np.linspace(3.0, 0.0, 6), np.linspace(2.9, 0.1, 5)]
+    direction = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    found = _ways_round(direction, np.repeat([0, 1], [13, 5]))
+    assert found.tolist() == [0] * 7 + [1] * 6 + [2] * 5
 
 
 @pytest.mark.parametrize(("between", "within"), [(10.0, 4.0), (0.0, 4.0)])
