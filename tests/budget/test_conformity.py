@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from machine_tool_calibration.budget import conformity as of_conformity
 from machine_tool_calibration.budget.conformity import (
     INCOMPLETE,
     ONLY_IF_RIGHT,
@@ -126,19 +127,44 @@ def test_squareness_by_the_normal_distribution() -> None:
 def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., Session]) -> None:
     """A slope is no straightness error; a deviation of 6 µm in the middle of five is."""
     x = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
-
-    def of_eyx(slope: float, tolerance: float) -> Verdict:
-        session = runs(np.tile(slope * x + np.array([0, 0, 6e-6, 0, 0]), 4), terms=["EYX"])
-        columns = {**session.readings.columns, "gx": np.zeros(20), "gy": np.ones(20)}
-        across = replace(session.readings, columns=columns)
-        return one(judged(fit_sessions(session.with_readings(across)), {"EYX": tolerance}))
-
-    found = of_eyx(20e-6, 10e-6)
+    session = runs(np.tile(20e-6 * x + np.array([0, 0, 6e-6, 0, 0]), 4), terms=["EYX"])
+    columns = {**session.readings.columns, "gx": np.zeros(20), "gy": np.ones(20)}
+    across = replace(session.readings, columns=columns)
+    found = one(judged(fit_sessions(session.with_readings(across)), {"EYX": 10e-6}))
     assert found.value == pytest.approx(6e-6)
     assert found.decision == "pass"
-    # Beyond the tolerance by noise alone, perhaps: as probable whatever the slope.
-    beyond = of_eyx(20e-6, 5.2e-6).probability
-    assert beyond == pytest.approx(of_eyx(0.0, 5.2e-6).probability) and 0.01 < beyond < 0.3
+
+
+def test_the_nearest_values_that_keep_a_straightness_are_those_about_its_line() -> None:
+    x, bent = np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.array([0.0, 0.0, 6.0, 0.0, 0.0])
+    straightness = of_conformity._extent(x)
+    assert straightness.work_out(bent + 20.0 * x) == pytest.approx(6.0)
+    # Of a line through all, at 1.2, the middle one is 4.8 beyond and the others 1.2 below: half a unit less each.
+    expected = [-0.7, -0.7, 4.3, -0.7, -0.7]
+    assert straightness.within(bent + 20.0 * x, 5.0) == pytest.approx(expected)
+
+
+def test_draws_of_many_values_are_made_in_parts_of_so_many_numbers(
+    reproducible: None, runs: Callable[..., Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_conformity, "_DRAWS", 1000)
+    monkeypatch.setattr(of_conformity, "_SAMPLES", 10)
+    fitted = fit_sessions(runs(np.tile([0.0, 1e-6, 3e-6, 2e-6, 5e-6], 4)))
+    judge = of_conformity._Conformity(fitted, scatter_alone(fitted), 0, lambda what, share: None)
+    (figure,), parts = judge.figures("EXX"), list[tuple[int, ...]]()
+    assert figure.kind is not None
+    work_out = figure.kind.work_out
+
+    def spied(values: Any) -> Any:
+        parts.append(values.shape)
+        return work_out(values)
+
+    figure = replace(figure, kind=replace(figure.kind, work_out=spied))
+    values, u = (every[figure.members] for every in (judge.numbers.value, judge.u))
+    at_once = judge.draws(figure, values, u)
+    monkeypatch.setattr(of_conformity, "_NUMBERS", 5 * 300 + 4)
+    assert judge.draws(figure, values, u) == pytest.approx(at_once)
+    assert parts == [(1000, 5), (300, 5), (300, 5), (300, 5), (100, 5)]
 
 
 @pytest.mark.long

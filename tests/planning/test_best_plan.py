@@ -356,6 +356,17 @@ def test_places_seen_along_one_line_take_up_what_their_readings_could_tell() -> 
     assert np.isinf(once).all() and np.isfinite(twice).all()
 
 
+def test_where_no_effect_is_to_be_told_repeats_are_alike_whichever_way_they_go() -> None:
+    procedure = offer(PLANE, "plane").procedure
+    assert procedure.path.alternate and procedure.session.repeats == 1
+    assert offer(PLANE, "plane", both_senses=True).procedure.session.repeats == 2
+    # Nor where none goes back, or there is a single one.
+    one_way = yaml.safe_load(PLANE)
+    one_way["path"]["alternate"] = False
+    for text in (yaml.safe_dump(one_way), _changed(repeats=[1])):
+        assert offer(text, "plane", both_senses=True).procedure.session.repeats == 1
+
+
 def test_an_effect_that_no_plan_tells_is_said() -> None:
     with pytest.raises(ModelError, match="no plan of these candidates tells scale:"):
         best_plan(PLANE, "plane.yaml", Assumed(), told=["scale"])

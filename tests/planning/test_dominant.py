@@ -13,7 +13,7 @@ from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.dominant import DRIFT, Dominant, dominant, limits_of
-from machine_tool_calibration.planning.forecast import Assumed, forecast
+from machine_tool_calibration.planning.forecast import Assumed, forecast, planned_session
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.session.session import Session
@@ -184,6 +184,16 @@ def test_readings_that_scatter_by_far_more_than_declared_dominate(simulated: Sim
     shares = [limits_of(session, build_model(session)[0], scatter).shares for scatter in (1.0, 3.0)]
     odds = [own["readings"] / own["time"] for own in shares]
     assert odds[1] == pytest.approx(9.0 * odds[0])
+
+
+def test_a_plan_foretells_air_that_warms_by_so_much_an_hour_and_axes_that_follow() -> None:
+    planned = planned_session(read_procedure(procedure_file("direct_iso230_2")), warming=2.0)
+    columns, hours = planned.session.readings.columns, planned.seconds / 3600.0
+    first, last = (columns["temperature_air"][k] for k in (0, -1))
+    assert 20.0 < first < 21.0 and 0.9 * 2.0 * hours < last - first <= 2.0 * hours
+    for name in ("x", "y", "z", "table", "work"):
+        followed = np.ptp(columns[f"temperature_{name}"]) / (last - first)
+        assert 0.0 < followed < 1.0
 
 
 @pytest.mark.long
