@@ -225,6 +225,14 @@ def test_a_plan_has_readings_that_check_each_other() -> None:
     assert three < 0.1 < four
 
 
+def test_of_targets_read_one_after_another_each_takes_its_own_time() -> None:
+    file = Path(__file__).parents[2] / "config" / "procedures" / "rotary_axis.yaml"
+    offered = offer(file.read_text(), "rotary_axis")
+    for targets in ((0,), (1, 5)):
+        choice = Choice((0, 1, 2, 3), targets, 1)
+        assert offered.rough_duration(choice) == pytest.approx(offered.duration(choice), rel=0.02)
+
+
 @pytest.mark.long
 def test_the_file_of_the_quickest_plan_has_its_setups_in_their_order() -> None:
     """With a margin for what does not reproduce between setups, which no plan can know of."""
