@@ -14,6 +14,7 @@ import pytest
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.direct.nodes import nodes_from
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 
 from ... import plates
@@ -352,3 +353,17 @@ def test_levels_that_no_line_connects_are_said_to_be_groups(direct: SimpleNamesp
 
     assert "2 groups of 4 and 2 that no setup connects" in datum(0, 0, 0, 1, 1, 2, 2)
     assert "groups" not in datum(0, 0, 0, 1, 1, 1, 1)
+
+
+@pytest.mark.parametrize("across", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+def test_a_direction_between_two_axes_is_of_length_1_or_refused(
+    direct: SimpleNamespace, across: tuple[int, ...]
+) -> None:
+    for along, aside in ((0.6, 0.8), (0.5, 0.5)):
+        direction = np.tile(np.array([along, aside, 0.0])[list(across)], (5, 1))
+        session = direct.written(ALONG_X, direction, np.zeros(5))
+        if aside == 0.8:
+            check_session(session)
+            continue
+        with pytest.raises(SessionError, match=r"the direction \(gx, gy, gz\) has length 0.707107, not 1"):
+            check_session(session)

@@ -4,7 +4,10 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.probing.datum import _from_outside, null_space
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.methods.probing.datum import _from_outside, conditions, null_space
+from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.description import KnownLength
 from machine_tool_calibration.simulation.probing_run import PartPoint, cam, cross, pins
 
 PICO = 1e-12
@@ -275,3 +278,13 @@ def test_null_space_and_uncertainties_are_those_of_the_dense_system() -> None:
 def test_a_length_is_held_at_the_outermost_node_that_was_touched(nodes, order):
     """On the positive side first; the axis's zero says nothing of its length."""
     assert _from_outside(np.array(nodes)) == order
+
+
+def test_where_no_touch_reaches_a_measured_length_the_axis_is_as_long_there_as_it_says():
+    """4 um over 200 mm: 2.2 um at 110 mm, and as much less on the other side of zero."""
+    table = MachineTable(Chain.parse("w-C-b-Y-X-Z-t"), "EXX", np.array([-0.11, 0.0, 0.11]))
+    known = {"EXX": KnownLength(position=0.2, value=4e-6, standard_uncertainty=0.0)}
+    measured, *others = conditions([table], ["A"], known)[-1].places
+    assert measured.is_measured and measured.value == 4e-6
+    at = {max(place.weights, key=lambda name: place.weights[name]): place.value for place in others}
+    assert at == {"EXX(0.11)": pytest.approx(2.2e-6), "EXX(-0.11)": pytest.approx(-2.2e-6)}

@@ -13,7 +13,13 @@ from papers.formulations import identify_by_formulation
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build, second_order
-from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, halts_of, runs_of
+from machine_tool_calibration.methods.step_diagonal.geometry import (
+    _distinct,
+    across,
+    block_positions,
+    halts_of,
+    runs_of,
+)
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.simulation import PRESETS, Simulated, SimulationSpec, simulate
@@ -60,6 +66,12 @@ def test_block_positions_of_a_shifted_volume(exact):
     assert x == pytest.approx(-0.1 + 0.02 * np.arange(6))
     assert y == pytest.approx(0.2 + 0.01 * np.arange(6))
     assert z == pytest.approx(0.03 * np.arange(6))
+
+
+def test_a_place_at_zero_is_one_without_a_sign():
+    """Whose name is EXX(0), wherever it was counted from."""
+    found = _distinct(np.array([0.02, -0.0, -1e-13, 0.01, 1e-13]))
+    assert [f"{x:g}" for x in found] == ["0", "0.01", "0.02"]
 
 
 def test_unequal_steps_are_taken_from_the_commanded_positions(written):
