@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import expit
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.search import effect_search
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, ShapedColumns, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.findings import Size, _detectable, without_laws
@@ -125,6 +127,37 @@ def test_probabilities_belong_together() -> None:
         ranked = [finding.probability for finding in look.findings if finding.rank]
         assert ranked == pytest.approx(sorted(ranked, reverse=True), abs=1e-9)
         assert [bool(finding.rank) for finding in look.findings] == [True] * len(ranked) + [False]
+
+
+@pytest.mark.parametrize(("usual", "seldom", "expected"), [(8, 4, 0.05), (18, 8, 0.05), (36, 16, 1.0 / 40.0)])
+def test_of_very_many_effects_no_more_than_one_is_expected(
+    monkeypatch: pytest.MonkeyPatch, usual: int, seldom: int, expected: float
+) -> None:
+    """One of which others are usual counts as a fourth of one, and is as much less probable."""
+    monkeypatch.setattr(effect_search, "search", lambda gram, blocks, log_odds, **how: expit(log_odds))
+    monkeypatch.setattr(effect_search, "special_cases", lambda columns: {})
+    count = usual + seldom
+    columns: Any = SimpleNamespace(
+        seen=range(count + 1),
+        effects=count,
+        candidates=[SimpleNamespace(is_seldom=k >= usual) for k in range(count)] + [None],  # and a structure
+        gram=SimpleNamespace(with_memory=lambda memory: None),
+        blocks=(),
+        pool=SimpleNamespace(side_by_side=False),
+    )
+    found = effect_search._searched(columns, 1.0)
+    assert found == pytest.approx([expected] * usual + [expected / 4.0] * seldom + [priors.STRUCTURE])
+
+
+def test_the_bayesian_criterion_falls_by_what_an_effect_explains_less_the_price_of_its_coefficients() -> None:
+    """As fits with and without it say, beside little that does not reproduce."""
+    measured = session("backlash_y")
+    look, n = looked(measured, effects=("backlash_x", "backlash_y")), len(measured.readings)
+    (model, _), without = build_model(measured), fit_models([build_model(measured)[0]]).solution.chi_square
+    for name in ("backlash_x", "backlash_y"):
+        added = model.with_terms([effect_term(catalogue()[name], model.observations)])
+        gained = n * np.log(without / fit_models([added]).solution.chi_square)
+        assert look.of(name).bic_gain == pytest.approx(gained - np.log(n), rel=0.03)
 
 
 def test_what_the_model_absorbs_is_neither_found_nor_detectable() -> None:
