@@ -5,6 +5,8 @@ What many readings in a row share is no gross error; what stands out of it is on
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.rounding import rounding_of
-from machine_tool_calibration.residuals.averaged import mean_places
+from machine_tool_calibration.residuals.averaged import mean_places, own_of_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.noise import noise_of, pooled
 from machine_tool_calibration.residuals.places import _beside, _moran, alike_beside_p
@@ -60,6 +62,20 @@ def test_readings_of_a_plate_that_was_drilled_once_are_averaged_hole_by_hole() -
         expected.append(session.readings.displacement[mine].mean())
     assert len(np.unique(holes, axis=0)) == len(holes) == len(np.unique(keys(session), axis=0))
     np.testing.assert_allclose(averaged[0].readings.displacement, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize(("holes", "lost", "count"), [(2, 1, 0), (2, 0, 4), (50, 0, 100), (50, 1, 99), (51, 0, 0)])
+def test_holes_have_constants_of_their_own_where_neither_few_nor_many_were_read_again(
+    holes: int, lost: int, count: int
+) -> None:
+    """x and y of each are places; of what was lost in the second run nothing was read again."""
+    session = plates.plate(1, holes=holes, repeats=2)[0]
+    kept = session.with_readings(session.readings.select(np.arange(4 * holes - lost)))
+    fit: Any = SimpleNamespace(model=build_model(kept)[0])
+    families = own_of_places(fit)
+    assert [family.name for family in families] == ["place"] * (count > 0)
+    for family in families:
+        assert len(np.unique(family.group[family.shapes[0] > 0])) == count
 
 
 @pytest.mark.long
