@@ -221,6 +221,19 @@ def test_a_vibration_is_looked_for_up_to_half_the_rate_of_the_fastest_run() -> N
     assert np.diff(found).max() < 1.0 / 10.0
 
 
+@pytest.mark.parametrize("shaken", [0, 1, 2])
+def test_a_vibration_of_a_single_run_is_among_those_that_are_tried(shaken: int) -> None:
+    """Three circles of 4 s at 50 Hz; one of them is shaken at 8.3 Hz."""
+    clock, setup = 0.02 * np.arange(600.0), np.repeat([0, 1, 2], 200)
+    angle = 2.0 * np.pi * np.tile(np.arange(200.0), 3) / 200.0
+    direction = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    read = np.where(setup == shaken, 1e-6 * np.sin(2.0 * np.pi * 8.3 * clock) * direction[:, 0], 0.0)
+    readings = SimpleNamespace(setup=setup, repeat=0 * setup, displacement=read)
+    observed: Any = SimpleNamespace(clock=clock, direction=direction, readings=readings)
+    tried = np.array(Vibration("x").shape_grid(observed)).ravel()
+    assert np.abs(tried - 8.3).min() < 0.05
+
+
 def test_in_each_run_a_vibration_may_have_any_phase() -> None:
     readings = SimpleNamespace(setup=np.repeat([0, 0, 1], 50), repeat=np.repeat([0, 1, 0], 50))
     clock = 0.01 * np.arange(150.0)
