@@ -44,7 +44,7 @@ from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions, refuse_impossible
 from machine_tool_calibration.model.fit import JointFit, changed, declared
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import map_change, map_rms
+from machine_tool_calibration.model.result import fit_quality, map_change, map_rms
 from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.residuals.averaged import mean_places
@@ -409,7 +409,9 @@ def _verdict(found: Diagnosis) -> str:
 
 @single_blas()
 def _without_cause(found: Diagnosis) -> float:
-    """Weighted squares of the structures in the most probable set, outside the model with what was found."""
+    """Weighted squares of structures in the most probable set, outside the model with what was found, if that fails."""
+    if fit_quality(found.fits[-1].p_value) != "bad":
+        return 0.0
     known = {finding.name for finding in found.search.findings}
     signals = [signal for name, signal in found.search.signals.items() if name not in known]
     return float(Pool(found.fits[-1]).screen(np.sum(signals, axis=0)[None]).gram[0, 0]) if signals else 0.0
