@@ -254,7 +254,10 @@ def main() -> int:
         with suppress(ImportError):
             importlib.import_module(name)
     with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder)
+        tree = Path(folder) / "src"
+        tree.mkdir()
+        for name in ("config", "msg_docs", "package.xml"):  # which the package finds beside its sources
+            (tree.parent / name).symlink_to(ROOT / name)
         # Whatever a swap writes or removes where it stands is not in the checkout.
         os.chdir(tree)
         # Without compiled files: a swap of the same length within a second would not be seen.

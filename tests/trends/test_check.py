@@ -18,12 +18,14 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.map_comparison import LEVEL
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.reports.trends import check_remarks
+from machine_tool_calibration.reports.trends import check_remarks, check_verdict
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.check import SESSIONS, between_sessions, check
 from machine_tool_calibration.trends.statement import Part, Statement, of_fit, of_result
 from machine_tool_calibration.trends.trend import ALARM, CHANGED, SHIFTED, Explanation, _cases, explain
+
+from ..told import keys
 
 AT = np.linspace(0.0, 0.4, 6)
 
@@ -364,3 +366,57 @@ def test_the_odds_are_those_of_the_integral(monkeypatch: pytest.MonkeyPatch) -> 
     total = (1.0 - CHANGED) * wide(base) + weights @ each
     assert found.jump == pytest.approx(weights[:2] @ each[:2] / total, rel=1e-4)
     assert found.drift == pytest.approx(weights[2] * each[2] / total, rel=1e-4)
+
+
+def test_readings_that_contradict_any_model_leave_open_whether_the_map_holds() -> None:
+    """More than those of the map did theirs; where these did as well, it is said, and the rest is compared."""
+    still = 5e-6 * np.ones(1)
+    before = statement(still, 1e-7, "before", "C0Y")
+    after = replace(statement(still, 1e-7, "after", "C0Y"), scatter=(9.0, 300))
+    found = check(before, after)
+    assert (found.holds, found.contradicted, found.misfit) == (None, True, True)
+    assert keys(check_verdict(found))[0] == "check.contradicted" and "3.00 times" in check_verdict(found)
+    both = check(replace(before, scatter=(9.5, 300)), after)
+    assert (both.holds, both.contradicted, both.misfit) == (True, False, True)
+    assert "check.misfit" in [key for words in check_remarks(both) for key in keys(words)]
+    within = check(before, replace(after, scatter=(1.1, 300)))
+    assert (within.holds, within.contradicted, within.misfit) == (True, False, False)
+
+
+def test_where_all_is_too_uncertain_it_is_open_whether_the_map_holds() -> None:
+    sizes = {"before": 5e-6, "after": 1e-6}
+    found = check(*(statement(np.array([size]), 8e-6, label, "C0Y") for label, size in sizes.items()))
+    assert found.holds is None and keys(check_verdict(found))[0] == "check.open"
+
+
+def test_a_motion_that_is_nowhere_determined_is_not_compared() -> None:
+    """Of which the datum's zero is known alone."""
+    both = []
+    for label in ("before", "after"):
+        known, zero = statement(np.array([5e-6]), 1e-7, label, "C0Y"), statement(np.full(6, np.nan), np.nan, label)
+        values = np.array([5e-6, 0.0, *np.full(5, np.nan)]), np.array([1e-7, 0.0, *np.full(5, np.nan)])
+        parts = known.parts | {"EYX": replace(zero.parts["EYX"], members=np.arange(1, 7))}
+        both.append(replace(known, numbers=Numbers(*values, known.numbers.quantities), parts=parts))
+    found = check(*both)
+    assert [one.name for one in found.changes] == ["C0Y"]
+    assert found.not_compared == ("EYX",)
+
+
+def test_sessions_that_read_other_positions_tell_the_spread_where_all_reach() -> None:
+    """Slopes of 5 um over the axis from one session to the next, read at six and at eleven places by turns."""
+    rng = np.random.default_rng(8)
+
+    def read(count: int, label: str) -> Statement:
+        at = np.linspace(0.0, 0.4, count)
+        own = 5e-6 * rng.standard_normal() * at / 0.4 + 1e-8 * rng.standard_normal(count)
+        listed = (Quantity("EXX", "m", 0, count, lambda k: "", at),)
+        part = Part("EXX", "m", np.arange(count), at)
+        numbers = Numbers(own, np.full(count, 1e-8), listed)
+        return replace(statement(own, 1e-8, label), numbers=numbers, parts={"EXX": part}, samples=None)
+
+    history = [read((6, 11)[k % 2], str(k)) for k in range(12)]
+    spread = between_sessions(history)["EXX"]
+    assert spread.at == pytest.approx(AT)
+    assert 1e-6 < spread.size < 5e-6
+    found = check(history[-1], read(11, "now"), history)
+    assert found.sessions == 12 and not found.moved

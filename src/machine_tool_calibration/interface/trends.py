@@ -41,7 +41,9 @@ class Check(Answer, Checked):
             "measurement": self.now,
             "since": self.since,
             "until": self.until,
-            "holds": not self.moved,
+            "holds": self.holds,  # None: open
+            "scatter": self.scatter,
+            "contradicted": self.contradicted,
             "verdict": check_verdict(self),
             "level": LEVEL,
             "rule": "holm",

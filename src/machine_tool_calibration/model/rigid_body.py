@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, rigid_motions
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import (
     SQUARENESS,
@@ -141,10 +141,13 @@ def machine_terms(
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
     """Those tables that the readings can distinguish, their terms, and what was left out with the reason.
 
-    The candidates are in the order of preference: what only repeats earlier ones is left out.
+    The candidates are in the order of preference: what only repeats earlier ones is left out. So is what moves all
+    targets as one, which unknown stations take up: a constant roll of X above its guideway is nothing but a turn.
     """
     kept, terms, left_out = [], [], []
-    basis = np.zeros((0, len(observations)))
+    moved = np.einsum("njk,nj->kn", rigid_motions(observations.position), observations.direction)
+    _, sizes, along = np.linalg.svd(moved, full_matrices=False)
+    basis = along[sizes > _OWN_SHARE * sizes[0]]
     for table in tables:
         term = table.term(observations)
         columns = term.columns

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from machine_tool_calibration.budget.published import POSITION_ERROR
-from machine_tool_calibration.reports.quantities import probability, quantity
+from machine_tool_calibration.reports.quantities import probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, heads, table
 from machine_tool_calibration.trends.check import SESSIONS, Change, Check
 from machine_tool_calibration.trends.logbook import Entry
+from machine_tool_calibration.trends.statement import SCATTER
 from machine_tool_calibration.trends.trend import Course, Trend
 from machine_tool_calibration.words import enumeration, say
 
@@ -51,8 +52,11 @@ def check_table(check: Check) -> TextTable:
 
 def check_verdict(check: Check) -> str:
     """Whether the map still holds, in one line."""
+    if check.contradicted and not check.moved:
+        before, after = map(rounded, check.scatter)
+        return say("check.contradicted", n=len(check.changes), now=check.now, before=before, after=after)
     if not check.moved:
-        return say("check.holds", n=len(check.changes))
+        return say("check.holds" if check.holds else "check.open", n=len(check.changes))
     # Position errors are made of the others: they are named only where none of these is found.
     moved = [one for one in check.moved if one.name != POSITION_ERROR] or list(check.moved)
     told = []
@@ -77,6 +81,8 @@ def check_remarks(check: Check) -> Iterator[str]:
         yield say("check.places", n=n, count=count) if n else say("check.no_places")
     if check.not_compared:
         yield say("check.not_compared", names=", ".join(check.not_compared))
+    if check.misfit and not check.contradicted:
+        yield say("check.misfit", now=check.now, ratio=rounded(check.scatter[1]))
     if not check.correlated:
         yield say("check.uncorrelated")
     yield say("check.between", n=check.sessions) if check.sessions else say("check.no_between", n=SESSIONS)
@@ -127,6 +133,8 @@ def trend_words(found: Trend) -> Iterator[str]:
             p, (first, last) = probability(one.explanation.probability), one.began
             more = {"now": one.dates[-1]} if one.kind == "drift" else {}
             yield say(f"trend.says_{one.kind}", name=one.name, size=size, first=first, last=last, p=p, **more)
+            if one.name == SCATTER:
+                yield say("trend.says_misfit")
         if one.against_limit in ("exceeded", "open") and one.limit is not None:
             limit, date = quantity(one.limit, one.unit), one.dates[-1]
             yield say(f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=date)

@@ -30,6 +30,7 @@ from machine_tool_calibration.trends.statement import Part, Statement
 
 SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
+_CONTRADICTED_P = 1e-4  # p-value below which readings scatter more about their own model than those of the map did
 _JUMP = 3.0  # changes that are so many times the median one are counted as that
 _SAME_POSITION = 1e-9  # positions that are one, m or rad
 
@@ -77,6 +78,10 @@ class Check:
     correlated: bool  # whether the correlations of both are known
     places: tuple[int, int]  # places at which the position errors are compared, and those of the earlier map
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
+    # by how much the readings of both scatter more than declared about models of their own, without what changed
+    scatter: tuple[float, float] = (1.0, 1.0)
+    contradicted: bool = False  # whether those of the measurement do so more than those of the map
+    misfit: bool = False  # whether they contradict a model of their own at all
 
     @property
     def moved(self) -> tuple[Change, ...]:
@@ -87,6 +92,17 @@ class Check:
     def blind(self) -> tuple[Change, ...]:
         """What was too uncertain to tell."""
         return tuple(one for one in self.changes if one.blind)
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the map still predicts the measurement.
+
+        None where that is open: nothing is seen to have changed, and all was too uncertain to tell, or the readings
+        contradict even a model of their own, so that something is there which neither has.
+        """
+        if self.moved:
+            return False
+        return None if self.contradicted or len(self.blind) == len(self.changes) else True
 
 
 def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ()) -> Check:
@@ -124,7 +140,21 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
         correlated=correlated,
         places=(len(common_points(earlier.points, now.points)[0]), len(earlier.points)),
         sessions=len(history) if between else 0,
+        scatter=(earlier.scatter[0] ** 0.5, now.scatter[0] ** 0.5),
+        contradicted=_contradicted(earlier.scatter, now.scatter),
+        misfit=_contradicted((1.0, 0), now.scatter),
     )
+
+
+def _contradicted(earlier: tuple[float, int], now: tuple[float, int]) -> bool:
+    """Whether readings scatter more about their own model than earlier ones about theirs, if any, and than declared.
+
+    Of mean squares and their degrees of freedom (F-test).
+    """
+    (before, dof_before), (after, dof) = earlier, now
+    ratio = after / max(before, 1.0)
+    chance = special.fdtrc(dof, dof_before, ratio) if dof_before else special.chdtrc(dof, dof * ratio)
+    return bool(dof and chance < _CONTRADICTED_P)
 
 
 @dataclass(frozen=True)
@@ -135,25 +165,26 @@ class Spread:
     # (d, v) all values of the error, in courses that together have the covariance of a change between two sessions:
     # a slope or a bow that changes from one to the next is no scatter of values that are independent
     courses: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    at: Array | None = None  # (v,) positions on the axis of these values; None of a single number and of places
 
 
 def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
     """What sessions differ by, by the error's name; nothing where there are fewer than `SESSIONS`.
 
     By the median of the squared changes from one session to the next, over all values of an error: a jump between two
-    of them does not make it larger.
+    of them does not make it larger. Sessions that read other positions are held against each other at those of the one
+    with fewest.
     """
     if len(history) < SESSIONS:
         return {}
     names = set.intersection(*({*one.parts} for one in history))
-    rows = {name: [(o.numbers.value[m := o.parts[name].members], o.numbers.u[m]) for o in history] for name in names}
+    places = {name: _of_all([one.parts[name] for one in history]) for name in names}
+    rows = {name: [_told_at(one, one.parts[name], at) for one in history] for name, at in places.items() if len(at)}
     if all(len(one.points) and np.array_equal(one.points, history[0].points) for one in history):
         errors = [one.position_error for one in history]
         rows[POSITION_ERROR] = [(value.reshape(-1), u.reshape(-1)) for value, u in errors]
     out = {}
     for name, pairs in rows.items():
-        if len({len(value) for value, _ in pairs}) > 1:
-            continue
         value, u = (np.array(each) for each in zip(*pairs, strict=True))
         changes, expected = np.diff(value, axis=0), u[1:] ** 2 + u[:-1] ** 2
         known = np.isfinite(changes) & np.isfinite(expected) & (expected > 0)
@@ -163,8 +194,25 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
             courses = np.where(known, changes, 0.0) * np.sqrt(more / max(typical, np.finfo(float).tiny))
             own = np.array([rms(course) for course in courses])
             courses /= np.maximum(own / max(_JUMP * float(np.median(own)), np.finfo(float).tiny), 1.0)[:, None]
-            out[name] = Spread(float(np.sqrt(more / 2.0)), courses / np.sqrt(len(courses)))
+            at = places[name] if name in places and history[0].parts[name].at is not None else None
+            out[name] = Spread(float(np.sqrt(more / 2.0)), courses / np.sqrt(len(courses)), at)
     return out
+
+
+def _of_all(parts: Sequence[Part]) -> Array:
+    """(q,) positions at which all of a motion are held against each other; a zero of single numbers."""
+    known = [part.at for part in parts if part.at is not None]
+    if len(known) < len(parts):
+        return np.zeros(0 if known else 1)
+    few = np.sort(min(known, key=len))
+    low, high = max(at.min() for at in known), min(at.max() for at in known)
+    return np.asarray(few[(few > low - _SAME_POSITION) & (few < high + _SAME_POSITION)])
+
+
+def _told_at(own: Statement, part: Part, at: Array) -> tuple[Array, Array]:
+    """(q,) what a statement says of a part at positions, and its standard uncertainty with that of straight lines."""
+    value, u, _, line = _values(own, part, at)
+    return value, np.sqrt(u**2 + line)
 
 
 def _part(earlier: Statement, now: Statement, name: str, between: Spread) -> Change | None:
@@ -175,10 +223,10 @@ def _part(earlier: Statement, now: Statement, name: str, between: Spread) -> Cha
     first, u_first, drawn, line = _values(earlier, one, at)
     second, u_second, drawn_now, line_now = _values(now, two, at)
     good = np.isfinite(first + second + u_first + u_second)
-    if not good.any():
+    if not good.any() or not np.any(u_first[good] + u_second[good] > 0):  # of a motion that is nowhere determined
         return None
     first, second = first[good], second[good]
-    spread, courses = (2.0 * between.size**2 + line + line_now)[good], _courses(between, one, at)[:, good]
+    spread, courses = (2.0 * between.size**2 + line + line_now)[good], _courses(between, at)[:, good]
     if one.at is not None and good.sum() > 1 and drawn is not None and drawn_now is not None:
         base, _ = np.linalg.qr(Part(name, one.unit, one.members, at[good]).datum)
         first, second = (value - base @ (base.T @ value) for value in (first, second))
@@ -195,14 +243,11 @@ def _part(earlier: Statement, now: Statement, name: str, between: Spread) -> Cha
     return _change(name, one.unit, size, second - first, u, places, between.size, p)
 
 
-def _courses(between: Spread, part: Part, at: Array) -> Array:
-    """(d, q) what sessions differ by at positions (q,), by straight lines between those of the part."""
-    if between.courses.shape[1] != len(part.members):
+def _courses(between: Spread, at: Array) -> Array:
+    """(d, q) what sessions differ by at positions (q,), by straight lines between those at which it is known."""
+    if not len(between.courses):
         return np.zeros((0, len(at)))
-    if part.at is None:
-        return between.courses
-    order = np.argsort(part.at)
-    return np.asarray(between.courses[:, order] @ interpolation(part.at[order], at))
+    return between.courses if between.at is None else np.asarray(between.courses @ interpolation(between.at, at))
 
 
 def _reached(one: Part, two: Part) -> Array:

@@ -29,6 +29,8 @@ from machine_tool_calibration.progress import Progress, untold
 
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
+SCATTER = "scatter"
+"""Name of the ratio by which the readings scatter about the model, over what was declared (Birge ratio)."""
 _FIGURES = (*ERROR_MOTIONS, *SQUARENESS, "B_mean", "R", VOLUMETRIC)
 _ANY = 1.0  # so large a tolerance that it decides nothing: the figures and their uncertainty are asked for
 
@@ -37,7 +39,7 @@ _ANY = 1.0  # so large a tolerance that it decides nothing: the figures and thei
 class Size:
     """The size of one error."""
 
-    name: str  # error motion, squareness, `B_mean_X`, `R_X`, `volumetric` or an effect's coefficient
+    name: str  # error motion, squareness, `B_mean_X`, `R_X`, `volumetric`, `SCATTER` or an effect's coefficient
     value: float  # in the unit
     # standard uncertainty as the readings show it. What the instrument adds in every session alike is no part of it,
     # since it is none of a change.
@@ -57,6 +59,8 @@ def sizes_of(result: Result | JointResult, progress: Callable[[str, float | None
             sizes.append(Size(quantity.name, value, u, quantity.unit))
     for estimate in effect_estimates(fitted.joint, fitted.effects):
         sizes.append(Size(estimate.name, estimate.value, estimate.standard_uncertainty, estimate.unit))
+    ratio, dof = fitted.joint.birge_ratio, fitted.joint.solution.degrees_of_freedom
+    sizes.append(Size(SCATTER, ratio, ratio / np.sqrt(2.0 * max(dof, 1)), "1"))  # what the model lacks shows here alone
     once = {size.name: size for size in sizes if np.isfinite(size.value) and np.isfinite(size.u) and size.u > 0}
     return tuple(once.values())
 
@@ -94,6 +98,8 @@ class Statement:
     points: Array  # (n, 3) places of the position error, m, or (n, 6) with senses of approach; may be none
     parts: Mapping[str, Part]  # error motions and single numbers by name
     absolute: bool = False  # whether no datum leaves a motion of the position errors open
+    # weighted mean square of the residuals about its own model, and their degrees of freedom; 1 and 0 if not known
+    scatter: tuple[float, int] = (1.0, 0)
     # (draws, M') deviations of the first numbers, drawn together; None of a document, which has no correlations
     samples: Array | None = field(default=None, repr=False)
 
@@ -128,6 +134,7 @@ def of_fit(
         points=states(fitted.error_map.points, fitted.error_map.content),
         parts=_parts(published, fitted.error_map.content, fitted.effects),
         absolute=bool(fitted.error_map.content.get("absolute")),
+        scatter=_scatter(fitted.joint.reduced_chi_square, fitted.joint.solution.degrees_of_freedom),
         samples=samples,
     )
 
@@ -170,7 +177,13 @@ def _read(document: Mapping[str, Any], label: str) -> Statement:
         points=where,
         parts=_parts(published, content, document["effects"]),
         absolute=bool(content.get("absolute")),
+        scatter=_scatter(document.get("reduced_chi_square"), document.get("degrees_of_freedom")),
     )
+
+
+def _scatter(mean_square: float | None, dof: int | None) -> tuple[float, int]:
+    known = mean_square is not None and dof is not None and dof > 0 and np.isfinite(mean_square)
+    return (float(mean_square), int(dof)) if known else (1.0, 0)  # type: ignore[arg-type]
 
 
 def _parts(published: Numbers, content: Mapping[str, Any], effects: Sequence[str]) -> dict[str, Part]:

@@ -7,6 +7,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -183,3 +184,14 @@ def test_a_missing_tenth_costs_uncertainty_but_no_honesty(simulated, truth, many
         wider.append(result.error_map.uncertainty[good, :2].mean() / whole.error_map.uncertainty[good, :2].mean())
     assert np.mean(squares) == pytest.approx(1.0, abs=some.off(0.1))
     assert min(wider) > 1.0
+
+
+def test_a_plane_above_the_guideways_has_the_same_error_motions(simulated):
+    """A roll of X with the height as its arm is its straightness, and with a slope a turn of the whole frame."""
+    session = simulated(2).session
+    height = session.readings.columns["z"] + 0.1
+    raised = session.with_readings(replace(session.readings, columns=session.readings.columns | {"z": height}))
+    low, high = (identify(one, model="rigid_body") for one in (session, raised))
+    determined = [{p.name for p in found.parameters if np.isfinite(p.value)} for found in (low, high)]
+    assert "C0Y" in determined[0] and determined[0] == determined[1]
+    assert "EAX" in [left.name for left in high.not_determined]
