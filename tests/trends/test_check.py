@@ -271,6 +271,32 @@ def test_a_steady_machine_raises_no_alarm_and_its_spread_is_learned(size: float)
     assert np.median([one.spread for one in found]) == pytest.approx(np.sqrt(max(size**2 - 1.0, 0.0)), abs=0.3)
 
 
+YEAR = 20.0 - 2.5 * np.cos(2.0 * np.pi * np.arange(N) / 12.0)  # from a January on
+
+
+@pytest.mark.parametrize("n", [6, 12, 30])
+def test_a_season_is_no_drift_where_its_temperature_was_recorded(n: int) -> None:
+    """By 3 U for each kelvin: a warming spring would be an alarm, in some."""
+    alarms = 0
+    for seed in range(10):
+        value = noise(seed) + 3.0 * (YEAR - 20.0)
+        found = explain(MONTHS[:n], value[:n], U[:n], ONE[:n], NUMBERS, YEAR[:n])
+        alarms += explained(value, n=n).changed
+        assert not found.changed
+        assert n < 12 or found.warms
+        assert abs(found.per_kelvin - 3.0) < 4.0 * found.u_per_kelvin < 1.5
+    assert (alarms > 0) == (n == 6)
+
+
+def test_a_jump_beside_a_season_is_found_and_at_one_temperature_nothing_goes_with_it() -> None:
+    for seed in range(10):
+        value = noise(seed) + 3.0 * (YEAR - 20.0) + 8.0 * (np.arange(N) >= 15)
+        found = explain(MONTHS, value, U, ONE, NUMBERS, YEAR)
+        assert found.jump > ALARM and found.first <= 14 < 15 <= found.last
+        still = explain(MONTHS, value, U, ONE, NUMBERS, 20.0 + 0.02 * (YEAR - 20.0))
+        assert still == explained(value) and still.warm == 0.0
+
+
 @pytest.mark.long
 def test_thirty_quiet_machines_raise_no_alarm_however_often_one_looks() -> None:
     for seed in range(30):
@@ -333,9 +359,11 @@ def test_the_spread_between_sessions_is_in_the_uncertainty_of_a_step() -> None:
         assert np.median([one.u_step for one in found]) == pytest.approx(size * np.sqrt(2.0 / 15.0), rel=0.2)
 
 
+@pytest.mark.parametrize("warm", [False, True])
 @pytest.mark.parametrize("ways", [1, 3])
-def test_the_prior_is_a_probability_and_has_the_tail_of_half_cauchy(ways: int) -> None:
-    cases = _cases(ways)
+def test_the_prior_is_a_probability_and_has_the_tail_of_half_cauchy(ways: int, warm: bool) -> None:
+    cases = _cases(ways, warm)
+    assert any(one.warm > 0 for one in cases) == warm
     chance = np.exp([one.prior for one in cases])
     assert chance.sum() == pytest.approx(1.0)
     beyond = chance[[one.spread > 10.0 for one in cases]].sum() / (1.0 - ALL_REPRODUCES)

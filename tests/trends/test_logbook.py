@@ -271,3 +271,21 @@ def test_a_damaged_logbook_is_not_written_to(measured: tuple[Session, Entry], tm
     with pytest.raises(CalibrationError, match=r"mill\.logbook: (is damaged|cannot be used)"):
         book.add(replace(entry, sha256=64 * "f"))
     assert book.path.read_bytes() == damaged
+
+
+def test_a_length_that_goes_with_the_temperature_is_said_to(measured: tuple[Session, Entry]) -> None:
+    """Not so a squareness, which does as well: what else changes with a season counts as a change."""
+    warm = [20.0, 21.0, 22.5, 24.0, 25.0, 24.5, 23.0, 21.0, 20.0, 20.5, 22.0, 24.0]
+    entries = []
+    for k, now in enumerate(warm):
+        length = 5e-6 + 1e-6 * (now - 20.0)
+        sizes = (Size("EXX", length, 1e-7, "m"), Size("C0Y", length, 1e-7, "rad"))
+        readings = f"x,temperature_x\n0.0,{now - 0.5}\n0.1,{now + 0.5}\n"
+        entries.append(replace(measured[1], sizes=sizes, readings=readings, date=f"2026-{k + 1:02}-04"))
+    assert entries[3].temperatures == {"temperature_x": 24.0}
+    found = trend(entries)
+    kinds = {one.name: one.kind for one in found.courses}
+    assert kinds["EXX"] == "temperature" and kinds["C0Y"] != "temperature"
+    told = [str(words) for words in trend_words(found) if "trend.says_temperature" in keys(words)]
+    assert len(told) == 1 and "EXX (0.998 ± 0.033 µm/K)" in told[0]
+    assert found.courses[[one.name for one in found.courses].index("EXX")].alarm is False

@@ -92,5 +92,7 @@ def _course(one: Course) -> dict[str, Any]:
     if one.explanation is not None:
         told |= picked(one.explanation, "jump", "drift", "change", "u", "spread")
         told |= {"began": list(one.began), "instrument": one.explanation.shift}
+        told |= {"temperature": one.explanation.warm}
+        told |= picked(one.explanation, "per_kelvin", "u_per_kelvin")
         told |= {"instrument_step": one.explanation.step, "instrument_step_u": one.explanation.u_step}
     return told | {"value_u": one.u, "instruments": [one.ways[way] for way in one.way]}

@@ -117,11 +117,14 @@ def _course_row(one: Course) -> tuple[str, ...]:
     change = ""
     if one.changed or one.suspected:
         change = quantity(one.explanation.change, one.unit, one.explanation.u)
+    elif one.kind == "temperature":
+        change = _per_kelvin(one)
     elif one.shifted:
         change = quantity(one.explanation.step, one.unit, one.explanation.u_step)
     kind = say(f"trend.possible_{one.kind}" if one.suspected else f"trend.{one.kind}")
     changed = one.explanation.probability
-    chance = {"instrument": one.explanation.shift, "steady": 1.0 - changed}.get(one.kind, changed)
+    other = {"instrument": one.explanation.shift, "temperature": one.explanation.warm, "steady": 1.0 - changed}
+    chance = other.get(one.kind, changed)
     return (*values, change, kind, probability(chance), quantity(one.explanation.spread, one.unit), limit)
 
 
@@ -143,9 +146,19 @@ def trend_words(found: Trend) -> Iterator[str]:
         most, said = max(shifted, key=lambda pair: abs(pair[1].step) / pair[1].u_step)
         names, size = enumeration([one.name for one, _ in shifted]), quantity(said.step, most.unit, said.u_step)
         yield say("trend.says_instrument", names=names, name=most.name, instrument=most.ways[most.way[-1]], size=size)
+    if warm := [one for one in found.courses if one.kind == "temperature"]:
+        each = [f"{one.name} ({_per_kelvin(one)})" for one in warm]
+        yield say("trend.says_temperature", n=len(warm), names=enumeration(each))
     told = sum(one.kind != "few" for one in found.courses)
     if not found.alarms:
         yield say("trend.quiet", n=told) if told else say("trend.untold")
+
+
+def _per_kelvin(one: Course) -> str:
+    assert one.explanation is not None
+    return quantity(
+        one.explanation.per_kelvin, "1/K" if one.unit == "1" else f"{one.unit}/K", one.explanation.u_per_kelvin
+    )
 
 
 def _last(one: Course) -> str:

@@ -9,6 +9,7 @@ entry's.
 """
 
 import datetime
+import io
 import json
 import sqlite3
 import tempfile
@@ -100,6 +101,16 @@ class Entry:
             for name, text in ((DESCRIPTION_FILE, self.description), (OBSERVATIONS_FILE, self.readings)):
                 (Path(folder) / name).write_text(text, encoding="utf-8", newline="")
             return replace(read_session(Path(folder), check=False), source=self.label)
+
+    @cached_property
+    def temperatures(self) -> Mapping[str, float]:
+        """Mean of every recorded temperature, degrees Celsius, by its column."""
+        if "temperature_" not in self.readings.partition("\n")[0]:
+            return {}
+        import pandas as pd  # slow to load, and a list of entries needs it not
+
+        table = pd.read_csv(io.StringIO(self.readings), usecols=lambda name: name.startswith("temperature_"))
+        return {str(name): float(mean) for name, mean in table.mean(numeric_only=True).items()}
 
     def document(self) -> dict[str, Any]:
         """What a list of entries says of it."""

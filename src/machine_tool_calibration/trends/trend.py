@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sizes of a machine's errors over time: what jumped, drifts, was read by another sensor, or is beyond a limit."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.budget.conformity import unit_of_figure
+from machine_tool_calibration.budget.conformity import VOLUMETRIC, unit_of_figure
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.marginal import log_size_prior
@@ -28,6 +30,10 @@ mounting anew come to about as much as one session tells."""
 SHIFTED = 0.5
 """Probability that two ways of measuring differ: as likely as not, so that at the session in which the sensor was
 changed, a jump of the machine needs far more to be believed."""
+WARM = 0.5
+"""Probability that a length goes with the temperature that was recorded, where that was another from session to
+session: as likely as not, so that a season is no drift."""
+_LEAST_WARMTH = 0.5  # K, differences of the temperature below which nothing goes with it
 # The spreads tried, in uncertainties of one session, and the sizes of changes and shifts, in uncertainty and spread.
 _SPREADS = np.concatenate([[0.0], np.geomspace(0.2, 50.0, 12)])
 _SIZES: Array = np.array([SMALLEST_SIGNAL * SCALE_STEP**k for k in range(3)])
@@ -50,6 +56,9 @@ class Explanation:
     spread: float  # between sessions, standard deviation
     step: float = 0.0  # how much more the last way of measuring reads than the one before; 0 of only one
     u_step: float = 0.0  # its standard uncertainty
+    warm: float = 0.0  # probability that it goes with the temperature; 0 where that is not known, or was the same
+    per_kelvin: float = 0.0  # by how much, in the unit for each kelvin
+    u_per_kelvin: float = 0.0  # its standard uncertainty
 
     @property
     def probability(self) -> float:
@@ -66,6 +75,11 @@ class Explanation:
         """Whether ways of measuring differ."""
         return self.shift >= ALARM
 
+    @property
+    def warms(self) -> bool:
+        """Whether it goes with the temperature."""
+        return self.warm >= ALARM
+
 
 @dataclass(frozen=True)
 class _Case:
@@ -73,21 +87,31 @@ class _Case:
 
     spread: float  # between sessions
     shift: float  # standard deviation of what a way of measuring adds; 0 where they do not differ
+    warm: float  # the same of what half the differences of the temperature add; 0 where nothing goes with it
     prior: float  # logarithm of its probability
     sizes: Array  # (s,) standard deviations of a change, all equally probable
 
 
-def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) -> Explanation:
-    """Weigh explanations of a number in n sessions, by its ways of reading; among many it takes more for an alarm."""
+def explain(
+    days: Array, value: Array, u: Array, way: IntArray, among: int = 1, temperature: Array | None = None
+) -> Explanation:
+    """Weigh explanations of a number in n sessions, by its ways of reading; among many it takes more for an alarm.
+
+    With the temperature of each session, degrees Celsius, it may go with that.
+    """
     unit = float(np.median(u))
     y, sigma, place = (value - np.median(value)) / unit, u / unit, np.eye(int(way.max()) + 1)[way]
+    warmth, half = np.zeros(len(value)), 0.0
+    if temperature is not None and np.ptp(temperature) >= _LEAST_WARMTH:
+        half = float(np.ptp(temperature)) / 2.0
+        warmth = (temperature - temperature.mean()) / half
     begins, columns = _columns(days)
     jumps = len(value) - 1
     chance = 1.0 - (1.0 - CHANGED) ** (1.0 / among)
     # Jumps and drifts are equally probable, and so are their dates.
     share = np.repeat([chance / 2.0 / jumps, chance / 2.0 / (len(columns) - jumps)], [jumps, len(columns) - jumps])
-    cases = _cases(place.shape[1])
-    weighed = zip(*(_weigh(case, y, sigma, place, columns) for case in cases), strict=True)
+    cases = _cases(place.shape[1], half > 0.0)
+    weighed = zip(*(_weigh(case, y, sigma, place, warmth, columns) for case in cases), strict=True)
     steady, changing, mean, variance = map(np.array, weighed)
     steady += np.log1p(-chance)
     changing += np.log(share / len(_SIZES))[:, None]
@@ -107,34 +131,56 @@ def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) 
     spread = unit * float(np.sqrt(of_case @ np.array([case.spread**2 for case in cases])))
     found = Explanation(jump, drift, shift, unit * change, u_change, first, last, spread)
     used = list(dict.fromkeys(way[::-1].tolist()))
-    if len(used) == 1:
-        return found
-    best = max((k for k, case in enumerate(cases) if case.shift > 0), key=lambda k: of_case[k])
-    part = p[best][kind] / p[best][kind].sum()
-    left = y - np.einsum("cs,cs,cn->n", part, mean[best], columns[kind]) if found.changed else y
-    step, u_step = _step(cases[best], left, sigma, place, used[0], used[1])
-    return replace(found, step=unit * step, u_step=unit * u_step)
+
+    def coefficient(is_of: Callable[[_Case], bool], row: Array) -> tuple[float, float]:
+        """What a row of shifts and warmth says in the most probable one of some cases, beside what changed."""
+        best = max((k for k, case in enumerate(cases) if is_of(case)), key=lambda k: of_case[k])
+        part = p[best][kind] / p[best][kind].sum()
+        left = y - np.einsum("cs,cs,cn->n", part, mean[best], columns[kind]) if found.changed else y
+        return _coefficient(cases[best], left, sigma, np.column_stack([place, warmth]), row)
+
+    if len(used) > 1:
+        row = np.zeros(place.shape[1] + 1)
+        row[used[:2]] = 1.0, -1.0
+        step, u_step = coefficient(lambda case: case.shift > 0, row)
+        found = replace(found, step=unit * step, u_step=unit * u_step)
+    if half > 0.0:
+        warm = float(of_case[[case.warm > 0 for case in cases]].sum())
+        rise, u_rise = coefficient(lambda case: case.warm > 0, np.append(np.zeros(place.shape[1]), 1.0))
+        found = replace(found, warm=warm, per_kelvin=unit * rise / half, u_per_kelvin=unit * u_rise / half)
+    return found
 
 
-def _cases(ways: int) -> list[_Case]:
-    """Every spread, each without and, of several ways of measuring, with shifts of every size."""
+def _cases(ways: int, warm: bool) -> list[_Case]:
+    """Every spread, each without and with shifts, of several ways of measuring, and what goes with the temperature."""
     weights = np.exp(log_size_prior(_SPREADS[1:], SPREAD))
+    shifts, warmths = _possible(SHIFTED, ways > 1), _possible(WARM, warm)
     out = []
     for spread, weight in zip(_SPREADS.tolist(), weights.tolist(), strict=True):
         size = float(np.sqrt(1.0 + spread**2))
-        out.append(_Case(spread, 0.0, float(np.log(weight * (1.0 - SHIFTED if ways > 1 else 1.0))), size * _SIZES))
-        for shift in _SHIFTS if ways > 1 else ():
-            out.append(_Case(spread, size * shift, float(np.log(weight * SHIFTED / len(_SHIFTS))), size * _SIZES))
+        for (shift, p_shift), (warmth, p_warmth) in product(shifts, warmths):
+            log_prior = float(np.log(weight * p_shift * p_warmth))
+            out.append(_Case(spread, size * shift, size * warmth, log_prior, size * _SIZES))
     return out
 
 
-def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) -> tuple[float, Array, Array, Array]:
+def _possible(chance: float, at_all: bool) -> list[tuple[float, float]]:
+    """Sizes that something may have, none among them, each with its probability."""
+    if not at_all:
+        return [(0.0, 1.0)]
+    return [(0.0, 1.0 - chance), *((float(size), chance / len(_SHIFTS)) for size in _SHIFTS)]
+
+
+def _weigh(
+    case: _Case, y: Array, sigma: Array, place: Array, warmth: Array, columns: Array
+) -> tuple[float, Array, Array, Array]:
     """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out.
 
     Logarithm of evidence times prior without a change; (c, s) of each change by a unit of its column times a
     coefficient, without the change's own prior; (c, s) mean and variance of that coefficient.
     """
     covariance = np.diag(sigma**2 + case.spread**2) + case.shift**2 * place @ place.T
+    covariance += case.warm**2 * np.outer(warmth, warmth)
     root = cholesky(covariance, lower=True)
     white = solve_triangular(root, np.column_stack([np.ones(len(y)), y, columns.T]), lower=True)
     length = np.linalg.norm(white[:, 0])
@@ -167,16 +213,16 @@ def _interval(begins: IntArray, weight: Array) -> tuple[int, int]:
     return first, ends[first]
 
 
-def _step(case: _Case, left: Array, sigma: Array, place: Array, last: int, before: int) -> tuple[float, float]:
-    """By how much the last way of measuring reads more than the one before, and its standard uncertainty."""
+def _coefficient(case: _Case, left: Array, sigma: Array, columns: Array, row: Array) -> tuple[float, float]:
+    """A combination of what ways of measuring and, at last, the temperature add, and its standard uncertainty."""
     inverse = 1.0 / (sigma**2 + case.spread**2)
-    # Level and shifts together, the shifts with their prior.
-    design = np.column_stack([np.ones(len(left)), place])
-    normal = design.T @ (inverse[:, None] * design) + np.diag([0.0, *[case.shift**-2] * place.shape[1]])
-    row = np.zeros(design.shape[1])
-    row[1 + last], row[1 + before] = 1.0, -1.0
-    solved = np.linalg.solve(normal, row)
-    return float(solved @ (design.T @ (inverse * left))), float(np.sqrt(solved @ row))
+    # Level and these together, these with their prior; what the case has none of stays zero.
+    design = np.column_stack([np.ones(len(left)), columns])
+    least = np.finfo(float).tiny ** 0.25
+    known = np.array([case.shift] * (columns.shape[1] - 1) + [case.warm])
+    normal = design.T @ (inverse[:, None] * design) + np.diag([0.0, *np.maximum(known, least) ** -2.0])
+    solved = np.linalg.solve(normal, np.append(0.0, row))
+    return float(solved @ (design.T @ (inverse * left))), float(np.sqrt(solved @ np.append(0.0, row)))
 
 
 _DAY = 86400.0
@@ -213,11 +259,13 @@ class Course:
 
     @property
     def kind(self) -> str:
-        """`jump`, `drift`, `instrument`, `steady`, or `few` sessions; of a suspected change which one it would be."""
+        """`jump`, `drift`, `temperature`, `instrument`, `steady`, or `few` sessions; of a suspected change which."""
         if self.explanation is None:
             return "few"
         if self.changed or self.suspected:
             return "jump" if self.explanation.jump >= self.explanation.drift else "drift"
+        if self.explanation.warms:
+            return "temperature"
         return "instrument" if self.shifted else "steady"
 
     @property
@@ -267,7 +315,7 @@ def trend(entries: Sequence[Entry], limits: Mapping[str, float] | None = None) -
     ways = _ways(entries)
     courses = [_course(name, entries, ways, len(names), limits.get(name)) for name in names]
     alarms = [one for one in courses if one.alarm]
-    rank = {"jump": 0, "drift": 0, "instrument": 1, "steady": 2, "few": 3}
+    rank = {"jump": 0, "drift": 0, "temperature": 1, "instrument": 1, "steady": 2, "few": 3}
     ordered = sorted(courses, key=lambda one: (one not in alarms, rank[one.kind]))
     return Trend(entries[0].machine, tuple(entry.date for entry in entries), tuple(ordered))
 
@@ -286,6 +334,23 @@ def _course(name: str, entries: Sequence[Entry], ways: Sequence[str], among: int
     value, u = np.array([size.value for _, _, size in rows]), np.array([size.u for _, _, size in rows])
     listed = list(dict.fromkeys(way for _, way, _ in rows))
     way = np.array([listed.index(own) for _, own, _ in rows])
-    told = explain(days, value, u, way, among) if len(rows) >= FEWEST and days[-1] > 0 else None
+    warmth = _temperature(name, [entry for entry, _, _ in rows])
+    told = explain(days, value, u, way, among, warmth) if len(rows) >= FEWEST and days[-1] > 0 else None
     dates = tuple(entry.date for entry, _, _ in rows)
     return Course(name, rows[0][2].unit, dates, value, u, way, tuple(listed), told, limit)
+
+
+def _temperature(name: str, entries: Sequence[Entry]) -> Array | None:
+    """(n,) mean temperature of each session, of the axis where all recorded it, else of the air; None of no length.
+
+    Scales and frames grow. What else changes with a season is no more usual than any change, and a jump is told soon.
+    """
+    of_axis = re.fullmatch(r"E([XYZ])\1", name)
+    if not of_axis and name != VOLUMETRIC:
+        return None
+    columns = ([f"temperature_{of_axis[1].lower()}"] if of_axis else []) + ["temperature_air"]
+    for column in columns:
+        means = np.array([entry.temperatures.get(column, np.nan) for entry in entries])
+        if np.isfinite(means).all():
+            return means
+    return None
