@@ -23,7 +23,7 @@ from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import Said, say
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ class Result(Identified):
         whole = _whole_terms(fit) | unread
         out = list(fit.model.left_out) + list(self.error_map.not_determined)
         for k in np.flatnonzero(~fit.determined):
-            own = say("undetermined.none_left") if names[k] in unread else fit.model.why_not_determined(names[k])
+            own = _why_unread(fit, unread[names[k]]) if names[k] in unread else fit.model.why_not_determined(names[k])
             why = own or correlated_with(fit.undetermined, names, int(k), fit.part.n_points > 0)
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):
@@ -298,6 +298,12 @@ class Result(Identified):
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }
+
+
+def _why_unread(fit: Fit, setup: str) -> Said:
+    recorded = fit.model.observations.session.as_recorded
+    measured = recorded.setup_ids.index(setup) in recorded.readings.setup
+    return say("undetermined.none_left" if measured else "undetermined.not_measured")
 
 
 def _lost_places(session: Session) -> list[NotDetermined]:

@@ -413,3 +413,11 @@ def test_pillars_that_are_stations_and_targets_of_one_another():
     order = [int(np.argmin(np.linalg.norm(pillars - place, axis=1))) for place in found.error_map.points[:, :2]]
     off = (found.error_map.error[:, :2] - (true - pillars)[order]).ravel()
     assert np.abs(off - moved @ np.linalg.lstsq(moved, off, rcond=None)[0]).max() < 1e-8
+
+
+def test_a_setup_that_was_not_measured_is_told_from_one_of_which_no_reading_is_left(simulated):
+    session = simulated(2).session
+    own = session.readings.setup == 2
+    never = replace(session, readings=session.readings.select(np.flatnonzero(~own)))
+    for found, why in ((never, "it was not measured"), (session.without(own), "no reading of it is left")):
+        assert [(one.name, one.why) for one in identify(found).not_determined] == [(session.setup_ids[2], why)]
