@@ -327,3 +327,19 @@ def test_places_that_are_not_determined_take_nothing_from_those_that_are() -> No
     points, error = found.error_map.points, found.error_map.error
     first = (points[:, 1] == 0.0) & (points[:, 2] == 0.0)
     assert first.sum() >= len(NODES) and np.isfinite(error[first, 0]).all() and np.isnan(error[:, 0]).any()
+
+
+@pytest.mark.parametrize("height", [0.0, 0.1])
+def test_angles_with_one_lever_arm_leave_the_map_of_a_plate_as_it_is(height: float) -> None:
+    """Each is a translation times the height, which the readings do not tell from it, and a slope turns the frame."""
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 0.4, 5), np.linspace(0.0, 0.3, 4)))
+    x, y, along_x = np.tile(x, 4), np.tile(y, 4), np.repeat([1.0, 1.0, 0.0, 0.0], x.size)
+    noise = 1e-7 * np.random.default_rng(5).standard_normal(x.size)
+    columns = {"x": x, "y": y, "z": 0.0 * x + height, "gx": along_x, "gy": 1.0 - along_x, "gz": 0.0 * x}
+    columns["displacement"] = (4e-5 * x + 2e-5 * x**2) * along_x + (3e-5 * x**2 - 2e-5 * y) * columns["gy"] + noise
+    terms = ("EXX", "EYX", "EXY", "EYY", "C0Y")
+    chosen = (plates.session(columns, 1e-7, "rigid", (*terms, *more)) for more in ((), ("EAX", "EBX", "EAY", "EBY")))
+    plain, with_angles = (identify(session).error_map for session in chosen)
+    assert np.isfinite(plain.error[:, :2]).all()
+    assert with_angles.error == pytest.approx(plain.error, abs=1e-12, nan_ok=True)
+    assert with_angles.uncertainty == pytest.approx(plain.uncertainty, rel=1e-6, nan_ok=True)

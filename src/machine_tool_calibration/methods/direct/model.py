@@ -254,6 +254,12 @@ def _datum(
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
     read = {term.name: read_nodes(term.columns) for term in terms}
     candidates = [constraint for table in ordered for constraint in table_datum((table,), (read[table.name],))]
+    # Of a rotation with one lever arm the slope is a turn of the whole frame.
+    candidates += [
+        Constraint(dict(zip(table.labels, (table.nodes - table.nodes.mean()).tolist(), strict=True)))
+        for table in ordered
+        if table.is_rotation and not table.is_squareness and len(table.labels) > 1
+    ]
     needed, fixed = _needed(candidates, terms, setups, observed)
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]
