@@ -178,11 +178,12 @@ def _row(course: Course, since: str) -> str:
     assert course.explanation is not None
     kind, one = course.kind + "?" * course.suspected, course.explanation
     size, u = (one.step, one.u_step) if kind == "instrument" else (one.change, one.u)
-    expanded = 2e6 * float(np.median(course.u))
+    scale = 1.0 if course.unit == "1" else 1e6
+    size, u, expanded = scale * size, scale * u, 2.0 * scale * float(np.median(course.u))
     if kind == "steady":
         return f"| {course.name} | {expanded:.3f} | {kind} | | | |"
     began = course.began[0] if course.changed else ""
-    return f"| {course.name} | {expanded:.3f} | {kind} | {1e6 * size:.3f} ± {2e6 * u:.3f} | {began} | {since} |"
+    return f"| {course.name} | {expanded:.3f} | {kind} | {size:.3f} ± {2.0 * u:.3f} | {began} | {since} |"
 
 
 def page(machines: int) -> str:
@@ -193,7 +194,7 @@ def page(machines: int) -> str:
     told, measured_alarms = measured()
     head = ["| change | found within 2 sessions | found at all | sessions until then, median | its size then |"]
     head.append("|---|---:|---:|---:|---:|")
-    more = ["| number | U, µm or µrad | told | change ± U | begun after | told first |", "|---|---:|---|---:|---|---|"]
+    more = ["| number | U (µm, µrad) | told | change ± U | begun after | told first |", "|---|---:|---|---:|---|---|"]
     quiet = [
         f"Of {machines} quiet machines ({len(sizes)} numbers each, looked at after every month) {alarms} raised an "
         f"alarm and {suspected} a suspicion. The quiet machine that was measured from end to end raised "
