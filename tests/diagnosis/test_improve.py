@@ -20,7 +20,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.reports.comparison import in_words
-from machine_tool_calibration.reports.improvement import improvement_words
+from machine_tool_calibration.reports.improvement import improvement_document, improvement_words
 from machine_tool_calibration.reports.verdict import headline
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import say
@@ -293,7 +293,7 @@ def test_what_was_set_aside_and_what_is_left_are_said_beside_what_was_added(
     def step(change: str, rms: float, before: object) -> SimpleNamespace:
         result = SimpleNamespace(rms_residual=rms)
         sizes = {"map_uncertainty": None, "residual_volumetric_error": lambda last: None}
-        return SimpleNamespace(change=change, result=result, before=before, **sizes)
+        return SimpleNamespace(change=change, result=result, before=before, set_aside=((7,),), **sizes)
 
     first = step("", 9e-6, None)
     aside = step("1 reading set aside", 3e-6, first)
@@ -301,7 +301,7 @@ def test_what_was_set_aside_and_what_is_left_are_said_beside_what_was_added(
     done: Any = SimpleNamespace(
         accepted=("backlash_x",),
         steps=(first, aside, step("backlash_x", 1e-6, aside)),
-        diagnosis=SimpleNamespace(gross_errors=(1,), noise=SimpleNamespace(declared=3e-7)),
+        diagnosis=SimpleNamespace(noise=SimpleNamespace(declared=3e-7)),
         last=SimpleNamespace(verdict=verdict, accepted=(), fits=(fit,)),
     )
     told = improvement_words(done)
@@ -312,3 +312,13 @@ def test_what_was_set_aside_and_what_is_left_are_said_beside_what_was_added(
         "improved.residual",
         *([said] if said else []),
     ]
+
+
+def test_the_verdict_after_is_that_of_a_look_at_the_last_model_and_none_without_one() -> None:
+    effects = (FlawSpec(id="backlash_y", size=2e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=effects)).session)
+    assert done.accepted and not done.further
+    told = improvement_document(done)
+    assert (told["verdict"], told["verdict_after"]) == ("missing_effect", None)
+    looked = replace(done, further=(replace(done.diagnosis, accepted=(), verdict="adequate"),))
+    assert improvement_document(looked)["verdict_after"] == "adequate"

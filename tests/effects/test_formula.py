@@ -252,6 +252,17 @@ def test_of_an_axis_that_is_not_there_nothing_is_sensed() -> None:
     assert FormulaEffect(angle | {"enters": "ECX"}).why_not(observations) == "the chain has no axis X"
 
 
+def test_a_coefficient_without_a_column_does_not_make_the_grid_finer() -> None:
+    """Of a term with x where nothing was read beside x = 0 all values are alike."""
+    observations = build_model(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session)[0].observations
+    plain = FormulaEffect(SETTLING).shape_grid(observations)
+    both = {**SETTLING["coefficients"], "c": {"unit": "1", "low": -1, "high": 1}}  # type: ignore[dict-item]
+    effect = FormulaEffect(SETTLING | {"formula": "b * dir_y * exp(-time / tau) + c * x", "coefficients": both})
+    columns = observations.readings.columns
+    readings = replace(observations.readings, columns=columns | {"x": 0.0 * columns["x"]})
+    assert effect.shape_grid(replace(observations, readings=readings)) == plain
+
+
 def _moved(readings, change):  # type: ignore[no-untyped-def]
     from dataclasses import replace
 

@@ -430,21 +430,43 @@ def test_a_motion_that_is_nowhere_determined_is_not_compared() -> None:
     assert found.not_compared == ("EYX",)
 
 
+def read_at(at: Array, value: Array, label: str, u: float = 1e-8) -> Statement:
+    """A measurement that states EXX at positions of its own."""
+    listed = (Quantity("EXX", "m", 0, len(at), lambda k: "", at),)
+    part, numbers = Part("EXX", "m", np.arange(len(at)), at), Numbers(value, np.full(len(at), u), listed)
+    return replace(statement(value, u, label), numbers=numbers, parts={"EXX": part}, samples=None)
+
+
 def test_sessions_that_read_other_positions_tell_the_spread_where_all_reach() -> None:
-    """Slopes of 5 um over the axis from one session to the next, read at six and at eleven places by turns."""
+    """Slopes of 5 um over the axis from one session to the next, read at six and at eleven places by turns.
+
+    One session of a hundredth of the axis says nothing of it.
+    """
     rng = np.random.default_rng(8)
 
     def read(count: int, label: str) -> Statement:
         at = np.linspace(0.0, 0.4, count)
-        own = 5e-6 * rng.standard_normal() * at / 0.4 + 1e-8 * rng.standard_normal(count)
-        listed = (Quantity("EXX", "m", 0, count, lambda k: "", at),)
-        part = Part("EXX", "m", np.arange(count), at)
-        numbers = Numbers(own, np.full(count, 1e-8), listed)
-        return replace(statement(own, 1e-8, label), numbers=numbers, parts={"EXX": part}, samples=None)
+        return read_at(at, 5e-6 * rng.standard_normal() * at / 0.4 + 1e-8 * rng.standard_normal(count), label)
 
     history = [read((6, 11)[k % 2], str(k)) for k in range(12)]
     spread = between_sessions(history)["EXX"]
     assert spread.at == pytest.approx(AT)
-    assert 1e-6 < spread.size < 5e-6
+    assert 5e-7 < spread.size < 5e-6
     found = check(history[-1], read(11, "now"), history)
     assert found.sessions == 12 and not found.moved
+    short = read_at(np.linspace(0.19, 0.2, 6), 1e-8 * rng.standard_normal(6), "short")
+    assert between_sessions([*history, short])["EXX"].size == pytest.approx(spread.size)
+    assert "EXX" not in between_sessions([*history[:4], short])
+
+
+def test_where_a_plan_counts_from_is_no_spread() -> None:
+    """The same scale, of which one plan has its zero 50 mm farther on than the other: a step of 1.5 um stands out."""
+    rng = np.random.default_rng(9)
+
+    def read(first: float, label: str, step: float = 0.0) -> Statement:
+        at = np.linspace(first, first + 0.4, 9)
+        return read_at(at, 2e-5 * (at - first) + step * (at > 0.2) + 1e-7 * rng.standard_normal(9), label, 1e-7)
+
+    history = [read(0.05 * (k % 2), str(k)) for k in range(12)]
+    assert between_sessions(history)["EXX"].size < 1e-7
+    assert check(history[-1], read(0.0, "now", 1.5e-6), history).moved

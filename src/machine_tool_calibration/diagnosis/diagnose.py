@@ -124,7 +124,8 @@ class Diagnosis:
                 out[own[0]] = others
         told = {*self.accepted, *(name for others in out.values() for name in others)}
         open_ = [f for f in self.search.findings if f.probability >= priors.LIKELY and f.name not in told]
-        beside = {f.name: round(f.probability, 2) for f in open_ if zero_is_open(self.refused.get(f.name))}
+        left = [f for f in open_ if f.plausible and zero_is_open(self.refused.get(f.name))]
+        beside = {f.name: round(f.probability, 2) for f in left}
         return out | {BESIDE: beside} if beside else out
 
     @cached_property

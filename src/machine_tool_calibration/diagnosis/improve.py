@@ -137,7 +137,7 @@ class Improvement:
 
     @property
     def last(self) -> Diagnosis:
-        """Of the last model that was looked at: with what was found before it."""
+        """The last look: of the last model, or of the one before it where that left nothing to look for."""
         return self._looks[-1]
 
     @property

@@ -167,13 +167,15 @@ _UNIT = re.compile(rf"1|(?:1\s*/)?{_POWER}(?:[*/ ]{_POWER})*")
 _LONGEST_UNIT = 60
 # Values of a nonlinear coefficient at first, and at most; cosine of the columns of two of them that are alike.
 _GRID, _MOST_GRID, _ALIKE = 12, 1000, 0.9
+_SAMPLE = 2000  # readings by which columns are compared
 _LARGEST_FILE = 1 << 20
 _ROUNDING = 1e-9  # of a factor between units
 
 
 def _apart(one: Array, other: Array) -> bool:
     """Whether some column of unit length differs from the other one of its coefficient; those of no length do not."""
-    return bool(one.any() and other.any() and np.abs(np.sum(one * other, axis=1)).min() < _ALIKE)
+    there = one.any(axis=1) & other.any(axis=1)
+    return bool((np.abs(np.sum(one * other, axis=1))[there] < _ALIKE).any())
 
 
 def _in_si(name: str, unit: str) -> tuple[float, str]:
@@ -260,7 +262,7 @@ class FormulaEffect(Effect):
         self.title = definition.title or definition.id
         self.formula = f"{'e_' if definition.enters in 'xyz' else ''}{definition.enters} = {definition.formula}"
         self._motion = parse_motion(definition.enters) if definition.enters.isupper() else None
-        self.chain = self.moves = self._motion.axis if self._motion is not None and self._motion.axis in "XYZ" else ""
+        self.chain = self._motion.axis if self._motion is not None and self._motion.axis in "XYZ" else ""
         self.source = definition.source
         self.kind = "reading" if definition.enters == "reading" else "position"
         self.coefficients = tuple(Coefficient(n, *u.in_si(n), u.meaning) for n, u in definition.coefficients.items())
@@ -357,7 +359,10 @@ class FormulaEffect(Effect):
         return [(value,) for value in sorted(known)]
 
     def _unit_columns(self, observations: Observations, value: float) -> Array:
-        columns = np.nan_to_num(self.columns(observations, (float(value),)))
+        """Of a sample of the readings, where these are many."""
+        n = len(observations)
+        some = np.random.default_rng(0).choice(n, _SAMPLE, replace=False) if n > _SAMPLE else slice(None)
+        columns = np.nan_to_num(self.columns(observations, (float(value),)))[:, some]
         return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), np.finfo(float).tiny))
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

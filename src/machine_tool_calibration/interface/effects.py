@@ -48,7 +48,7 @@ class Effect(FormulaEffect):
 
         Args:
             id: letters, digits, `_`; not one of the catalogue.
-            formula: numbers, names, `+ - * / ** ^ ( )`, `sin cos tan exp log sqrt abs sign`; a length, m. Names that
+            formula: numbers, names, `+ - * / ** ^ ( )`, `sin cos tan exp log sqrt abs sign`; m, or rad. Names that
                 are neither coefficients nor constants are columns of the session, or `path` and `pi`.
             enters: `x`, `y`, `z`: a displacement of that axis; `reading`: the reading itself; `ECX`, `EBC` …: that
                 error motion by ISO 230-1 of a linear or of the rotary axis, with its lever arm (a rotation in rad).

@@ -32,7 +32,7 @@ class Alternatives:
 
     effects: tuple[tuple[str, str], ...]  # the k effects in the model, or `BESIDE`, each with another in its place
     differences: tuple[Array, ...]  # per session, (k, n) what changes in the readings, m, if that one is true instead
-    probability: Array  # (k,) that it is; of those of one effect one is true at most
+    probability: Array  # (k,) that it is; of those in the place of one effect one is true at most
 
     def of(self, effect: str) -> dict[str, float]:
         """What an effect may be instead, with the probability of each."""

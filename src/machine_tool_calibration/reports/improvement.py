@@ -34,7 +34,8 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
     return {
         "format": "mtcal-improvement/1",
         "verdict": done.diagnosis.verdict,
-        "verdict_after": done.last.verdict,  # of the last model that was looked at
+        # of the last model; None where it was not looked at again, as it leaves nothing
+        "verdict_after": None if done.last.accepted else done.last.verdict,
         "accepted": done.accepted,
         "set_aside": [row for rows in done.steps[-1].set_aside for row in rows],
         "steps": [step_document(step) for step in done.steps],
@@ -76,7 +77,8 @@ def improvement_words(done: Improvement) -> str:
     if done.accepted:
         grows = _what_grows(done)
         key = "improved.added_grows" if grows else "improved.added"
-        said = [say("improved.aside", n=len(found.gross_errors))] if found.gross_errors else []
+        aside = sum(map(len, done.steps[-1].set_aside))
+        said = [say("improved.aside", n=aside)] if aside else []
         said.append(say(key, names=", ".join(done.accepted), fell=fell, grows=grows))
         if last.verdict == "unexplained":
             said.append(say("improved.left", found=headline(last)))

@@ -81,7 +81,7 @@ def check_remarks(check: Check) -> Iterator[str]:
         yield say("check.places", n=n, count=count) if n else say("check.no_places")
     if check.not_compared:
         yield say("check.not_compared", names=", ".join(check.not_compared))
-    if check.misfit and not check.contradicted:
+    if check.misfit and (check.moved or not check.contradicted):
         yield say("check.misfit", now=check.now, ratio=rounded(check.scatter[1]))
     if not check.correlated:
         yield say("check.uncorrelated")
@@ -125,7 +125,9 @@ def _course_row(one: Course) -> tuple[str, ...]:
     changed = one.explanation.probability
     other = {"instrument": one.explanation.shift, "temperature": one.explanation.warm, "steady": 1.0 - changed}
     chance = other.get(one.kind, changed)
-    return (*values, change, kind, probability(chance), quantity(one.explanation.spread, one.unit), limit)
+    spread = one.explanation.spread
+    told = rounded(spread) if one.unit == "1" else quantity(spread, one.unit)
+    return (*values, change, kind, probability(chance), told, limit)
 
 
 def trend_words(found: Trend) -> Iterator[str]:
@@ -141,7 +143,9 @@ def trend_words(found: Trend) -> Iterator[str]:
         if one.against_limit in ("exceeded", "open") and one.limit is not None:
             limit, date = quantity(one.limit, one.unit), one.dates[-1]
             yield say(f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=date)
-    shifted = [(one, one.explanation) for one in found.courses if one.explanation is not None and one.shifted]
+    # Another instrument may scatter otherwise, which is nothing that it reads more.
+    lengths = [one for one in found.courses if one.name != SCATTER]
+    shifted = [(one, one.explanation) for one in lengths if one.explanation is not None and one.shifted]
     if shifted:
         most, said = max(shifted, key=lambda pair: abs(pair[1].step) / pair[1].u_step)
         names, size = enumeration([one.name for one, _ in shifted]), quantity(said.step, most.unit, said.u_step)

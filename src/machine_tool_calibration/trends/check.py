@@ -32,6 +32,7 @@ SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
 _CONTRADICTED_P = 1e-4  # p-value below which readings scatter more about their own model than those of the map did
 _JUMP = 3.0  # changes that are so many times the median one are counted as that
+_REACHES = 0.8  # share of the usual range of a motion that a session reaches at least to tell its spread
 _SAME_POSITION = 1e-9  # positions that are one, m or rad
 
 
@@ -78,7 +79,7 @@ class Check:
     correlated: bool  # whether the correlations of both are known
     places: tuple[int, int]  # places at which the position errors are compared, and those of the earlier map
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
-    # by how much the readings of both scatter more than declared about models of their own, without what changed
+    # by how much the readings of both scatter more than declared about models of their own; NaN if not known
     scatter: tuple[float, float] = (1.0, 1.0)
     contradicted: bool = False  # whether those of the measurement do so more than those of the map
     misfit: bool = False  # whether they contradict a model of their own at all
@@ -98,7 +99,7 @@ class Check:
         """Whether the map still predicts the measurement.
 
         None where that is open: nothing is seen to have changed, and all was too uncertain to tell, or the readings
-        contradict even a model of their own, so that something is there which neither has.
+        contradict even a model of their own, more than those of the map do theirs.
         """
         if self.moved:
             return False
@@ -140,7 +141,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
         correlated=correlated,
         places=(len(common_points(earlier.points, now.points)[0]), len(earlier.points)),
         sessions=len(history) if between else 0,
-        scatter=(earlier.scatter[0] ** 0.5, now.scatter[0] ** 0.5),
+        scatter=(earlier.scatter[0] ** 0.5 if earlier.scatter[1] else np.nan, now.scatter[0] ** 0.5),
         contradicted=_contradicted(earlier.scatter, now.scatter),
         misfit=_contradicted((1.0, 0), now.scatter),
     )
@@ -177,41 +178,64 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
     """
     if len(history) < SESSIONS:
         return {}
-    names = set.intersection(*({*one.parts} for one in history))
-    places = {name: _of_all([one.parts[name] for one in history]) for name in names}
-    rows = {name: [_told_at(one, one.parts[name], at) for one in history] for name, at in places.items() if len(at)}
+    out = dict[str, Spread]()
+    for name in set.intersection(*({*one.parts} for one in history)):
+        told, at = _of_all(history, name)
+        if len(told) >= SESSIONS:
+            part = replace(told[0].parts[name], at=at)
+            out |= _spread(name, [_told_at(one, one.parts[name], at) for one in told], part)
     if all(len(one.points) and np.array_equal(one.points, history[0].points) for one in history):
         errors = [one.position_error for one in history]
-        rows[POSITION_ERROR] = [(value.reshape(-1), u.reshape(-1)) for value, u in errors]
-    out = {}
-    for name, pairs in rows.items():
-        value, u = (np.array(each) for each in zip(*pairs, strict=True))
-        changes, expected = np.diff(value, axis=0), u[1:] ** 2 + u[:-1] ** 2
-        known = np.isfinite(changes) & np.isfinite(expected) & (expected > 0)
-        if known.any():
-            typical = float(np.median(changes[known] ** 2)) / NORMAL_MEDIAN**2
-            more = max(typical - float(np.median(expected[known])), 0.0)
-            courses = np.where(known, changes, 0.0) * np.sqrt(more / max(typical, np.finfo(float).tiny))
-            own = np.array([rms(course) for course in courses])
-            courses /= np.maximum(own / max(_JUMP * float(np.median(own)), np.finfo(float).tiny), 1.0)[:, None]
-            at = places[name] if name in places and history[0].parts[name].at is not None else None
-            out[name] = Spread(float(np.sqrt(more / 2.0)), courses / np.sqrt(len(courses)), at)
+        out |= _spread(POSITION_ERROR, [(value.reshape(-1), u.reshape(-1)) for value, u in errors])
     return out
 
 
-def _of_all(parts: Sequence[Part]) -> Array:
-    """(q,) positions at which all of a motion are held against each other; a zero of single numbers."""
-    known = [part.at for part in parts if part.at is not None]
-    if len(known) < len(parts):
-        return np.zeros(0 if known else 1)
-    few = np.sort(min(known, key=len))
+def _spread(name: str, told: Sequence[tuple[Array, Array]], part: Part | None = None) -> dict[str, Spread]:
+    """That of values and standard uncertainties of sessions in turn; nothing where none is known.
+
+    What the coordinate system can change of a `part` is no spread of it.
+    """
+    value, u = (np.array(each) for each in zip(*told, strict=True))
+    at = None if part is None else part.at
+    changes, expected = np.diff(value, axis=0), u[1:] ** 2 + u[:-1] ** 2
+    known = np.isfinite(changes) & np.isfinite(expected) & (expected > 0)
+    if part is not None and at is not None:
+        good = (np.isfinite(changes) & np.isfinite(expected)).all(axis=0)
+        at, changes, expected = at[good], changes[:, good], expected[:, good]
+        base, _ = np.linalg.qr(replace(part, at=at).datum)
+        out_of = np.eye(len(at)) - base @ base.T
+        changes, expected = changes @ out_of, expected @ out_of**2
+        known = expected > 1e-12 * expected.max(initial=0.0)
+    if not known.any():
+        return {}
+    typical = float(np.median(changes[known] ** 2)) / NORMAL_MEDIAN**2
+    more = max(typical - float(np.median(expected[known])), 0.0)
+    courses = np.where(known, changes, 0.0) * np.sqrt(more / max(typical, np.finfo(float).tiny))
+    own = np.array([rms(course) for course in courses])
+    courses /= np.maximum(own / max(_JUMP * float(np.median(own)), np.finfo(float).tiny), 1.0)[:, None]
+    return {name: Spread(float(np.sqrt(more / 2.0)), courses / np.sqrt(len(courses)), at)}
+
+
+def _of_all(history: Sequence[Statement], name: str) -> tuple[list[Statement], Array | None]:
+    """The sessions that reach most of what is usual of a motion, and (q,) positions at which they are held together.
+
+    All of them and None of a single number.
+    """
+    places = [one.parts[name].at for one in history]
+    known = [at for at in places if at is not None]
+    if len(known) < len(places):
+        return ([] if known else list(history)), None
+    usual = float(np.median([np.ptp(at) for at in known]))
+    told = [one for one, at in zip(history, known, strict=True) if np.ptp(at) >= _REACHES * usual]
+    known = [at for at in known if np.ptp(at) >= _REACHES * usual]
     low, high = max(at.min() for at in known), min(at.max() for at in known)
-    return np.asarray(few[(few > low - _SAME_POSITION) & (few < high + _SAME_POSITION)])
+    few = np.sort(min(known, key=len))
+    return told, np.asarray(few[(few > low - _SAME_POSITION) & (few < high + _SAME_POSITION)])
 
 
-def _told_at(own: Statement, part: Part, at: Array) -> tuple[Array, Array]:
+def _told_at(own: Statement, part: Part, at: Array | None) -> tuple[Array, Array]:
     """(q,) what a statement says of a part at positions, and its standard uncertainty with that of straight lines."""
-    value, u, _, line = _values(own, part, at)
+    value, u, _, line = _values(own, part, np.zeros(1) if at is None else at)
     return value, np.sqrt(u**2 + line)
 
 
@@ -247,7 +271,9 @@ def _courses(between: Spread, at: Array) -> Array:
     """(d, q) what sessions differ by at positions (q,), by straight lines between those at which it is known."""
     if not len(between.courses):
         return np.zeros((0, len(at)))
-    return between.courses if between.at is None else np.asarray(between.courses @ interpolation(between.at, at))
+    if between.at is None:
+        return between.courses
+    return np.asarray(between.courses @ interpolation(between.at, np.clip(at, between.at.min(), between.at.max())))
 
 
 def _reached(one: Part, two: Part) -> Array:

@@ -30,7 +30,7 @@ from machine_tool_calibration.progress import Progress, untold
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
 SCATTER = "scatter"
-"""Name of the ratio by which the readings scatter about the model, over what was declared (Birge ratio)."""
+"""Name of the ratio by which the readings scatter about the model, over what was declared."""
 _FIGURES = (*ERROR_MOTIONS, *SQUARENESS, "B_mean", "R", VOLUMETRIC)
 _ANY = 1.0  # so large a tolerance that it decides nothing: the figures and their uncertainty are asked for
 
@@ -59,8 +59,8 @@ def sizes_of(result: Result | JointResult, progress: Callable[[str, float | None
             sizes.append(Size(quantity.name, value, u, quantity.unit))
     for estimate in effect_estimates(fitted.joint, fitted.effects):
         sizes.append(Size(estimate.name, estimate.value, estimate.standard_uncertainty, estimate.unit))
-    ratio, dof = fitted.joint.birge_ratio, fitted.joint.solution.degrees_of_freedom
-    sizes.append(Size(SCATTER, ratio, ratio / np.sqrt(2.0 * max(dof, 1)), "1"))  # what the model lacks shows here alone
+    ratio, dof = np.sqrt(fitted.joint.reduced_chi_square), fitted.joint.solution.degrees_of_freedom
+    sizes.append(Size(SCATTER, float(ratio), float(ratio / np.sqrt(2.0 * dof)), "1"))  # what the model lacks shows here
     once = {size.name: size for size in sizes if np.isfinite(size.value) and np.isfinite(size.u) and size.u > 0}
     return tuple(once.values())
 

@@ -122,12 +122,12 @@ def explain(
 
     kind = slice(0, jumps) if jump >= drift else slice(jumps, None)
     weight = p[:, kind] / p[:, kind].sum()
-    mean, variance = mean[:, kind], variance[:, kind]
-    change = float((weight * mean).sum())
+    size, variance = mean[:, kind], variance[:, kind]
+    change = float((weight * size).sum())
     first, last = _interval(begins[kind], weight.sum(axis=(0, 2)))
     of_case = p_steady + p.sum(axis=(1, 2))
     shift = float(of_case[[case.shift > 0 for case in cases]].sum())
-    u_change = unit * float(np.sqrt((weight * (variance + (mean - change) ** 2)).sum()))
+    u_change = unit * float(np.sqrt((weight * (variance + (size - change) ** 2)).sum()))
     spread = unit * float(np.sqrt(of_case @ np.array([case.spread**2 for case in cases])))
     found = Explanation(jump, drift, shift, unit * change, u_change, first, last, spread)
     used = list(dict.fromkeys(way[::-1].tolist()))
@@ -136,7 +136,7 @@ def explain(
         """What a row of shifts and warmth says in the most probable one of some cases, beside what changed."""
         best = max((k for k, case in enumerate(cases) if is_of(case)), key=lambda k: of_case[k])
         part = p[best][kind] / p[best][kind].sum()
-        left = y - np.einsum("cs,cs,cn->n", part, mean[best], columns[kind]) if found.changed else y
+        left = y - np.einsum("cs,cs,cn->n", part, size[best], columns[kind]) if found.changed else y
         return _coefficient(cases[best], left, sigma, np.column_stack([place, warmth]), row)
 
     if len(used) > 1:

@@ -45,7 +45,7 @@ class OwnEffect:
         self._enters = pn.widgets.Select(
             name="Enters", options=["x", "y", "z", "reading", "EAC", "EBC", "ECC"], value="y", width=90
         )
-        self._formula = pn.widgets.TextInput(name="Formula (a length, m)", value="b * dir_y", width=330)
+        self._formula = pn.widgets.TextInput(name="Formula (m; of a rotation rad)", value="b * dir_y", width=330)
         self._linear = pn.widgets.TextInput(name="Unknowns: name unit low high, …", value="b m -2e-5 2e-5", width=270)
         self._shape = pn.widgets.TextInput(name="One that is not linear (tau s 10 1e4)", value="", width=250)
         self._said = text()

@@ -98,11 +98,8 @@ def _acquainted(models: Sequence[MethodModel]) -> list[MethodModel]:
         if every.size:
             covered[axis] = (float(every.min()), float(every.max()))
     rigid = frozenset[str]().union(*(sensed_lever_arms(model.observations) for model in models))
-    seen = [model.observations for model in models]
-    return [
-        replace(model, observations=replace(own, covered=covered, rigid=rigid | own.rigid))
-        for model, own in zip(models, seen, strict=True)
-    ]
+    seen = [replace(o, covered=covered, rigid=rigid | o.rigid) for o in (model.observations for model in models)]
+    return [replace(model, observations=own) for model, own in zip(models, seen, strict=True)]
 
 
 def _compatible(one: Chain, other: Chain) -> bool:
