@@ -263,6 +263,21 @@ def test_a_coefficient_without_a_column_does_not_make_the_grid_finer() -> None:
     assert effect.shape_grid(replace(observations, readings=readings)) == plain
 
 
+def test_a_wave_with_a_node_at_every_place_ends_the_search_for_its_periods() -> None:
+    """At 20 mm its sine is rounding at multiples of 40 mm, and no two columns of it are alike."""
+    observations = build_model(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=3)).session)[0].observations
+    at = 0.04 * np.round(observations.readings.columns["x"] / 0.04)
+    placed = replace(observations.readings, columns=observations.readings.columns | {"x": at})
+    for shape, formula in (
+        ({"low": 0.02, "high": 0.2}, "2 * pi * x / l"),
+        ({"low": -50, "high": 50}, "2 * pi * x * l"),
+    ):
+        unit = "m" if shape["low"] > 0 else "1/m"
+        wave = {"id": "wave", "enters": "x", "formula": f"b * sin({formula})", "coefficients": SETTLING["coefficients"]}
+        effect = FormulaEffect(wave | {"shapes": {"l": shape | {"unit": unit}}})
+        assert 12 <= len(effect.shape_grid(replace(observations, readings=placed))) < 300
+
+
 def _moved(readings, change):  # type: ignore[no-untyped-def]
     from dataclasses import replace
 

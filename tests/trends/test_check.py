@@ -288,6 +288,15 @@ def test_a_season_is_no_drift_where_its_temperature_was_recorded(n: int) -> None
     assert (alarms > 0) == (n == 6)
 
 
+def test_a_session_without_its_temperature_leaves_the_season_one() -> None:
+    for seed in range(10):
+        value, known = noise(seed) + 3.0 * (YEAR - 20.0), YEAR.copy()
+        known[[3, 8]] = np.nan
+        found = explain(MONTHS[:12], value[:12], U[:12], ONE[:12], NUMBERS, known[:12])
+        assert not found.changed and found.warms
+        assert abs(found.per_kelvin - 3.0) < 4.0 * found.u_per_kelvin < 1.5
+
+
 def test_a_jump_beside_a_season_is_found_and_at_one_temperature_nothing_goes_with_it() -> None:
     for seed in range(10):
         value = noise(seed) + 3.0 * (YEAR - 20.0) + 8.0 * (np.arange(N) >= 15)
@@ -404,6 +413,9 @@ def test_readings_that_contradict_any_model_leave_open_whether_the_map_holds() -
     found = check(before, after)
     assert (found.holds, found.contradicted, found.misfit) == (None, True, True)
     assert keys(check_verdict(found))[0] == "check.contradicted" and "3.00 times" in check_verdict(found)
+    then = check(replace(before, scatter=(9.5, 300)), replace(after, scatter=(1.0, 300)))
+    assert (then.holds, then.misfit, then.map_misfit) == (True, False, True)
+    assert "check.map_misfit" in [key for words in check_remarks(then) for key in keys(words)]
     both = check(replace(before, scatter=(9.5, 300)), after)
     assert (both.holds, both.contradicted, both.misfit) == (True, False, True)
     assert "check.misfit" in [key for words in check_remarks(both) for key in keys(words)]

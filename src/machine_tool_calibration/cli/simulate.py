@@ -83,7 +83,7 @@ def command(
     A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
     """
     from machine_tool_calibration.session.folder import write_session
-    from machine_tool_calibration.simulation import PRESETS, simulate
+    from machine_tool_calibration.simulation import simulate
     from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
 
     if listed:
@@ -99,8 +99,8 @@ def command(
         if len(chosen) != 1:
             raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
         chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
-    if len(paths) == 2 and preset is None and (named := str(paths[0])) in PRESETS:  # as `mtcal plan` takes it
-        preset, paths = named, paths[1:]
+    if len(paths) == 2 and preset is None and not paths[0].suffix and not paths[0].exists():  # as `mtcal plan` takes it
+        preset, paths = str(paths[0]), paths[1:]
     begun = read_spec(paths[0]) if len(paths) == 2 else None
     fields = {name: value for name, value in numbers.items() if value is not None}
     spec = spec_from(begun, method=method, preset=preset, plan=plan, machine=machine, effects=chosen, fields=fields)

@@ -25,7 +25,7 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import Said, say
 
 # Looks at models, each with what the one before found.
 _LOOKS = 4
@@ -55,6 +55,11 @@ class Step:
     def map_change(self) -> float | None:
         """RMS length by which those of the model alone moved against the step before, as in a diagnosis, m."""
         return None if self.before is None else map_change(self.before.result.error_map, self.result.error_map)
+
+    @property
+    def may_be(self) -> bool:
+        """Whether it has the effects of the one before, and its uncertainties contain others that may be there."""
+        return isinstance(self.change, Said) and self.change.key == "step.may_be"
 
     @property
     def label(self) -> str:

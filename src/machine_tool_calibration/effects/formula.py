@@ -167,15 +167,17 @@ _UNIT = re.compile(rf"1|(?:1\s*/)?{_POWER}(?:[*/ ]{_POWER})*")
 _LONGEST_UNIT = 60
 # Values of a nonlinear coefficient at first, and at most; cosine of the columns of two of them that are alike.
 _GRID, _MOST_GRID, _ALIKE = 12, 1000, 0.9
-_SAMPLE = 2000  # readings by which columns are compared
+_SAMPLE, _ROUNDED = 2000, 1e-9  # readings by which columns are compared; length over the largest that is rounding
 _LARGEST_FILE = 1 << 20
 _ROUNDING = 1e-9  # of a factor between units
 
 
-def _apart(one: Array, other: Array) -> bool:
-    """Whether some column of unit length differs from the other one of its coefficient; those of no length do not."""
-    there = one.any(axis=1) & other.any(axis=1)
-    return bool((np.abs(np.sum(one * other, axis=1))[there] < _ALIKE).any())
+def _apart(one: Array, other: Array, least: Array) -> bool:
+    """Whether some column of a coefficient is not alike at two values; columns of hardly any length are no others."""
+    lengths = [np.linalg.norm(columns, axis=1) for columns in (one, other)]
+    there = (lengths[0] > least) & (lengths[1] > least)
+    cosine = np.abs(np.sum(one * other, axis=1))[there] / (lengths[0] * lengths[1])[there]
+    return bool((cosine < _ALIKE).any())
 
 
 def _in_si(name: str, unit: str) -> tuple[float, str]:
@@ -347,23 +349,24 @@ class FormulaEffect(Effect):
             return [()]
         low, high = self.shapes[0].low, self.shapes[0].high
         spaced = np.geomspace if low > 0 else np.linspace
-        known = {float(value): self._unit_columns(observations, value) for value in spaced(low, high, _GRID)}
+        known = {float(value): self._sampled(observations, float(value)) for value in spaced(low, high, _GRID)}
+        # Below that it is rounding, such as of the sine of a wave with a node at every place.
+        least = _ROUNDED * np.max([np.linalg.norm(columns, axis=1) for columns in known.values()], axis=0)
         between = deque(pairwise(known))
         while between and len(known) < _MOST_GRID:
             one, other = between.popleft()
             middle = float(spaced(one, other, 3)[1])
-            columns = self._unit_columns(observations, middle)
-            if _apart(columns, known[one]) or _apart(columns, known[other]):
+            columns = self._sampled(observations, middle)
+            if middle not in known and any(_apart(columns, known[end], least) for end in (one, other)):
                 known[middle] = columns
                 between += [(one, middle), (middle, other)]
         return [(value,) for value in sorted(known)]
 
-    def _unit_columns(self, observations: Observations, value: float) -> Array:
-        """Of a sample of the readings, where these are many."""
+    def _sampled(self, observations: Observations, value: float) -> Array:
+        """(k, n) columns at a value, of a sample of the readings where these are many."""
         n = len(observations)
         some = np.random.default_rng(0).choice(n, _SAMPLE, replace=False) if n > _SAMPLE else slice(None)
-        columns = np.nan_to_num(self.columns(observations, (float(value),)))[:, some]
-        return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), np.finfo(float).tiny))
+        return np.asarray(np.nan_to_num(self.columns(observations, (value,)))[:, some])
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The formula with one coefficient at one and the others at zero, for each."""

@@ -31,22 +31,24 @@ def _draw(panel: Axes, course: Course) -> None:
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 
     when = [float(date2num(datetime.fromisoformat(date).replace(tzinfo=None))) for date in course.dates]  # type: ignore[no-untyped-call]
-    angle = course.unit == "rad"
+    scale, unit = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}.get(
+        course.unit, (1.0, course.unit if course.unit != "1" else "")
+    )
     for k, way in enumerate(course.ways):
         rows = [i for i, own in enumerate(course.way) if own == k]
         panel.errorbar(
-            [when[i] for i in rows], 1e6 * course.value[rows], 2e6 * course.u[rows],
+            [when[i] for i in rows], scale * course.value[rows], 2.0 * scale * course.u[rows],
             fmt=MARKERS[k % len(MARKERS)], color=COLORS[k % len(COLORS)], ms=4, lw=1.0, capsize=2, label=way,
         )  # fmt: skip
     if course.changed and course.explanation is not None:
         panel.axvspan(when[course.explanation.first], when[course.explanation.last], color=BAND, alpha=0.3, lw=0)
     if course.limit is not None:
         for sign in (1.0, -1.0) if course.value.min() < 0.0 else (1.0,):
-            panel.axhline(sign * 1e6 * course.limit, color=COLORS[1], lw=1.0, ls="--")
+            panel.axhline(sign * scale * course.limit, color=COLORS[1], lw=1.0, ls="--")
     locator = AutoDateLocator(maxticks=6)  # type: ignore[no-untyped-call]
     panel.xaxis.set_major_locator(locator)
     panel.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     panel.tick_params(labelsize="x-small")
-    panel.set_ylabel("µrad" if angle else "µm", fontsize="small")
+    panel.set_ylabel(unit, fontsize="small")
     kind = say(f"trend.possible_{course.kind}" if course.suspected else f"trend.{course.kind}")
     panel.set_title(f"{course.name}: {kind}", fontsize="small", fontweight="bold" if course.alarm else "normal")

@@ -74,11 +74,11 @@ def improvement_words(done: Improvement) -> str:
     """What was found to add, or to set aside, by how much the residual fell, and what is left: a sentence or some."""
     found, last = done.diagnosis, done.last
     fell = _what_falls(done)
+    aside = sum(map(len, done.steps[-1].set_aside))
+    said = [say("improved.aside", n=aside)] if aside else []
     if done.accepted:
         grows = _what_grows(done)
         key = "improved.added_grows" if grows else "improved.added"
-        aside = sum(map(len, done.steps[-1].set_aside))
-        said = [say("improved.aside", n=aside)] if aside else []
         said.append(say(key, names=", ".join(done.accepted), fell=fell, grows=grows))
         if last.verdict == "unexplained":
             said.append(say("improved.left", found=headline(last)))
@@ -87,7 +87,8 @@ def improvement_words(done: Improvement) -> str:
         return together(said)
     if found.verdict == "outliers":
         return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
-    return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing", found=headline(found))
+    key = "unexplained" if found.verdict == "unexplained" else "nothing"
+    return together([*said, say(f"improved.{key}", found=headline(found))])
 
 
 def _what_falls(done: Improvement) -> str:
@@ -122,7 +123,7 @@ def steps_table(done: Improvement) -> TextTable:
         done.steps,
         say("improved.note"),
         model=lambda step: step.label,
-        size_pm=lambda step: sizes_in_words([p for p in step.parameters if p.owner == step.change], ""),
+        size_pm=lambda step: sizes_in_words([p for p in step.parameters if step.may_be or p.owner == step.change], ""),
         probability=lambda step: probability(done.probability(step.change)) if step.change in done.accepted else "",
         residual=lambda step: micrometres(step.result.rms_residual),
         chi=lambda step: rounded(step.reduced_chi_square),

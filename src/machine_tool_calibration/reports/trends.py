@@ -72,7 +72,7 @@ def check_verdict(check: Check) -> str:
 def check_remarks(check: Check) -> Iterator[str]:
     """Since when, what could not be told, and what U contains; a sentence each."""
     if check.moved and check.since:
-        dates = {"since": check.since, "until": check.until}
+        dates = dict(zip(("since", "until"), sorted((check.since, check.until or check.since)), strict=True))
         yield say("check.since_until", **dates) if check.until else say("check.since", since=check.since)
     if check.blind:
         yield say("check.blind_words", names=enumeration([_name(one) for one in check.blind]))
@@ -83,6 +83,8 @@ def check_remarks(check: Check) -> Iterator[str]:
         yield say("check.not_compared", names=", ".join(check.not_compared))
     if check.misfit and (check.moved or not check.contradicted):
         yield say("check.misfit", now=check.now, ratio=rounded(check.scatter[1]))
+    if check.map_misfit and not check.contradicted:
+        yield say("check.map_misfit", earlier=check.earlier, ratio=rounded(check.scatter[0]))
     if not check.correlated:
         yield say("check.uncorrelated")
     yield say("check.between", n=check.sessions) if check.sessions else say("check.no_between", n=SESSIONS)

@@ -83,6 +83,7 @@ class Check:
     scatter: tuple[float, float] = (1.0, 1.0)
     contradicted: bool = False  # whether those of the measurement do so more than those of the map
     misfit: bool = False  # whether they contradict a model of their own at all
+    map_misfit: bool = False  # whether those of the map do
 
     @property
     def moved(self) -> tuple[Change, ...]:
@@ -144,6 +145,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
         scatter=(earlier.scatter[0] ** 0.5 if earlier.scatter[1] else np.nan, now.scatter[0] ** 0.5),
         contradicted=_contradicted(earlier.scatter, now.scatter),
         misfit=_contradicted((1.0, 0), now.scatter),
+        map_misfit=_contradicted((1.0, 0), earlier.scatter),
     )
 
 

@@ -97,14 +97,16 @@ def explain(
 ) -> Explanation:
     """Weigh explanations of a number in n sessions, by its ways of reading; among many it takes more for an alarm.
 
-    With the temperature of each session, degrees Celsius, it may go with that.
+    With the temperature of each session, degrees Celsius, it may go with that; NaN where it was not recorded.
     """
     unit = float(np.median(u))
     y, sigma, place = (value - np.median(value)) / unit, u / unit, np.eye(int(way.max()) + 1)[way]
-    warmth, half = np.zeros(len(value)), 0.0
-    if temperature is not None and np.ptp(temperature) >= _LEAST_WARMTH:
-        half = float(np.ptp(temperature)) / 2.0
-        warmth = (temperature - temperature.mean()) / half
+    warmth, half = np.zeros((len(value), 1)), 0.0
+    if temperature is not None and np.ptp(known := temperature[np.isfinite(temperature)]) >= _LEAST_WARMTH:
+        half = float(np.ptp(known)) / 2.0
+        # A session of which it is not known may be off by as much by itself.
+        own = np.eye(len(value))[:, ~np.isfinite(temperature)]
+        warmth = np.column_stack([np.nan_to_num((temperature - known.mean()) / half), own])
     begins, columns = _columns(days)
     jumps = len(value) - 1
     chance = 1.0 - (1.0 - CHANGED) ** (1.0 / among)
@@ -137,16 +139,17 @@ def explain(
         best = max((k for k, case in enumerate(cases) if is_of(case)), key=lambda k: of_case[k])
         part = p[best][kind] / p[best][kind].sum()
         left = y - np.einsum("cs,cs,cn->n", part, size[best], columns[kind]) if found.changed else y
-        return _coefficient(cases[best], left, sigma, np.column_stack([place, warmth]), row)
+        return _coefficient(cases[best], left, sigma, place, warmth, row)
 
     if len(used) > 1:
-        row = np.zeros(place.shape[1] + 1)
+        row = np.zeros(place.shape[1] + warmth.shape[1])
         row[used[:2]] = 1.0, -1.0
         step, u_step = coefficient(lambda case: case.shift > 0, row)
         found = replace(found, step=unit * step, u_step=unit * u_step)
     if half > 0.0:
         warm = float(of_case[[case.warm > 0 for case in cases]].sum())
-        rise, u_rise = coefficient(lambda case: case.warm > 0, np.append(np.zeros(place.shape[1]), 1.0))
+        row = np.eye(place.shape[1] + warmth.shape[1])[place.shape[1]]
+        rise, u_rise = coefficient(lambda case: case.warm > 0, row)
         found = replace(found, warm=warm, per_kelvin=unit * rise / half, u_per_kelvin=unit * u_rise / half)
     return found
 
@@ -180,7 +183,7 @@ def _weigh(
     coefficient, without the change's own prior; (c, s) mean and variance of that coefficient.
     """
     covariance = np.diag(sigma**2 + case.spread**2) + case.shift**2 * place @ place.T
-    covariance += case.warm**2 * np.outer(warmth, warmth)
+    covariance += case.warm**2 * warmth @ warmth.T
     root = cholesky(covariance, lower=True)
     white = solve_triangular(root, np.column_stack([np.ones(len(y)), y, columns.T]), lower=True)
     length = np.linalg.norm(white[:, 0])
@@ -213,13 +216,15 @@ def _interval(begins: IntArray, weight: Array) -> tuple[int, int]:
     return first, ends[first]
 
 
-def _coefficient(case: _Case, left: Array, sigma: Array, columns: Array, row: Array) -> tuple[float, float]:
-    """A combination of what ways of measuring and, at last, the temperature add, and its standard uncertainty."""
+def _coefficient(
+    case: _Case, left: Array, sigma: Array, place: Array, warmth: Array, row: Array
+) -> tuple[float, float]:
+    """A combination of what ways of measuring and, after them, the temperature add, and its standard uncertainty."""
     inverse = 1.0 / (sigma**2 + case.spread**2)
     # Level and these together, these with their prior; what the case has none of stays zero.
-    design = np.column_stack([np.ones(len(left)), columns])
+    design = np.column_stack([np.ones(len(left)), place, warmth])
     least = np.finfo(float).tiny ** 0.25
-    known = np.array([case.shift] * (columns.shape[1] - 1) + [case.warm])
+    known = np.repeat([case.shift, case.warm], [place.shape[1], warmth.shape[1]])
     normal = design.T @ (inverse[:, None] * design) + np.diag([0.0, *np.maximum(known, least) ** -2.0])
     solved = np.linalg.solve(normal, np.append(0.0, row))
     return float(solved @ (design.T @ (inverse * left))), float(np.sqrt(solved @ np.append(0.0, row)))
@@ -341,7 +346,7 @@ def _course(name: str, entries: Sequence[Entry], ways: Sequence[str], among: int
 
 
 def _temperature(name: str, entries: Sequence[Entry]) -> Array | None:
-    """(n,) mean temperature of each session, of the axis where all recorded it, else of the air; None of no length.
+    """(n,) mean temperature of each session, of the axis if most recorded it, else of the air; None of no length.
 
     Scales and frames grow. What else changes with a season is no more usual than any change, and a jump is told soon.
     """
@@ -351,6 +356,6 @@ def _temperature(name: str, entries: Sequence[Entry]) -> Array | None:
     columns = ([f"temperature_{of_axis[1].lower()}"] if of_axis else []) + ["temperature_air"]
     for column in columns:
         means = np.array([entry.temperatures.get(column, np.nan) for entry in entries])
-        if np.isfinite(means).all():
+        if 2 * np.isfinite(means).sum() > len(means):
             return means
     return None
