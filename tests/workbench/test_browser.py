@@ -139,7 +139,7 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
     page.get_by_text("The model lacks backlash of Y (backlash_y).").wait_for()
     page.get_by_text("With backlash_y: b = 1.9").wait_for()
     page.get_by_text("An effect of your own by its formula").click()
-    page.get_by_label("Formula (a length, m)").fill("b * dir_y + 1")
+    page.get_by_label("Formula (m; of a rotation rad)").fill("b * dir_y + 1")
     page.get_by_role("alert").filter(has_text="the formula").wait_for()
     unreachable += page.evaluate(UNREACHABLE)
 
