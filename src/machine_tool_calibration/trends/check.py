@@ -183,7 +183,7 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, Spread]:
     out = dict[str, Spread]()
     for name in set.intersection(*({*one.parts} for one in history)):
         told, at = _of_all(history, name)
-        if len(told) >= SESSIONS:
+        if len(told) >= SESSIONS and (at is None or len(at) > 1):
             part = replace(told[0].parts[name], at=at)
             out |= _spread(name, [_told_at(one, one.parts[name], at) for one in told], part)
     if all(len(one.points) and np.array_equal(one.points, history[0].points) for one in history):
