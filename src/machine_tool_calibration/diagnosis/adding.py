@@ -28,7 +28,8 @@ from machine_tool_calibration.words import Said, say, together
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
-# Reasons for which an effect is refused that changes nothing.
+# Reasons for which an effect is refused whose size may be zero, and that changes nothing.
+_MAY_BE_ZERO = ("undetermined.no_size", "undetermined.no_size_beside")
 _CHANGE_NOTHING = ("undetermined.no_size", "undetermined.explains_nothing", "undetermined.of_the_scatter")
 # Share of an effect's squares that a single reading has at most, for its own leverage.
 _MOST_OF_ONE = 0.999
@@ -184,7 +185,7 @@ def without_size(why: str) -> bool:
 
 def zero_is_open(why: str | None) -> bool:
     """Whether an effect that is not added may be there: it was not refused, or as its size may be zero."""
-    return why is None or (isinstance(why, Said) and why.key in ("undetermined.no_size", "undetermined.no_size_beside"))
+    return why is None or (isinstance(why, Said) and why.key in _MAY_BE_ZERO)
 
 
 def _chi_square(fit_with: Callable[[tuple[str, ...]], FittedSessions], names: Iterable[str]) -> float:

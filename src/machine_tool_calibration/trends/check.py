@@ -32,6 +32,7 @@ SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
 _CONTRADICTED_P = 1e-4  # p-value below which readings scatter more about their own model than those of the map did
 _JUMP = 3.0  # changes that are so many times the median one are counted as that
+_UNKNOWN = (1.0, 0)  # mean square and degrees of freedom of readings of which these are not known
 _REACHES = 0.8  # share of the usual range of a motion that a session reaches at least to tell its spread
 _SAME_POSITION = 1e-9  # positions that are one, m or rad
 
@@ -79,11 +80,8 @@ class Check:
     correlated: bool  # whether the correlations of both are known
     places: tuple[int, int]  # places at which the position errors are compared, and those of the earlier map
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
-    # by how much the readings of both scatter more than declared about models of their own; NaN if not known
-    scatter: tuple[float, float] = (1.0, 1.0)
-    contradicted: bool = False  # whether those of the measurement do so more than those of the map
-    misfit: bool = False  # whether they contradict a model of their own at all
-    map_misfit: bool = False  # whether those of the map do
+    # of both, as of `Statement.scatter`: mean squares about models of their own, and degrees of freedom
+    scatters: tuple[tuple[float, int], tuple[float, int]] = (_UNKNOWN, _UNKNOWN)
 
     @property
     def moved(self) -> tuple[Change, ...]:
@@ -94,6 +92,27 @@ class Check:
     def blind(self) -> tuple[Change, ...]:
         """What was too uncertain to tell."""
         return tuple(one for one in self.changes if one.blind)
+
+    @property
+    def scatter(self) -> tuple[float, float]:
+        """By how much the readings of both scatter more than declared; NaN if not known."""
+        before, after = (float(np.sqrt(square)) if dof else np.nan for square, dof in self.scatters)
+        return before, after
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the readings of the measurement contradict a model of their own more than those of the map theirs."""
+        return _contradicted(*self.scatters)
+
+    @property
+    def misfit(self) -> bool:
+        """Whether they contradict a model of their own at all."""
+        return _contradicted(_UNKNOWN, self.scatters[1])
+
+    @property
+    def map_misfit(self) -> bool:
+        """Whether those of the map do."""
+        return _contradicted(_UNKNOWN, self.scatters[0])
 
     @property
     def holds(self) -> bool | None:
@@ -142,10 +161,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
         correlated=correlated,
         places=(len(common_points(earlier.points, now.points)[0]), len(earlier.points)),
         sessions=len(history) if between else 0,
-        scatter=(earlier.scatter[0] ** 0.5 if earlier.scatter[1] else np.nan, now.scatter[0] ** 0.5),
-        contradicted=_contradicted(earlier.scatter, now.scatter),
-        misfit=_contradicted((1.0, 0), now.scatter),
-        map_misfit=_contradicted((1.0, 0), earlier.scatter),
+        scatters=(earlier.scatter, now.scatter),
     )
 
 
@@ -223,16 +239,14 @@ def _of_all(history: Sequence[Statement], name: str) -> tuple[list[Statement], A
 
     All of them and None of a single number.
     """
-    places = [one.parts[name].at for one in history]
-    known = [at for at in places if at is not None]
-    if len(known) < len(places):
+    known = [(one, at) for one in history if (at := one.parts[name].at) is not None]
+    if len(known) < len(history):
         return ([] if known else list(history)), None
-    usual = float(np.median([np.ptp(at) for at in known]))
-    told = [one for one, at in zip(history, known, strict=True) if np.ptp(at) >= _REACHES * usual]
-    known = [at for at in known if np.ptp(at) >= _REACHES * usual]
-    low, high = max(at.min() for at in known), min(at.max() for at in known)
-    few = np.sort(min(known, key=len))
-    return told, np.asarray(few[(few > low - _SAME_POSITION) & (few < high + _SAME_POSITION)])
+    usual = float(np.median([np.ptp(at) for _, at in known]))
+    told, places = zip(*((one, at) for one, at in known if np.ptp(at) >= _REACHES * usual), strict=True)
+    low, high = max(at.min() for at in places), min(at.max() for at in places)
+    few = np.sort(min(places, key=len))
+    return list(told), np.asarray(few[(few > low - _SAME_POSITION) & (few < high + _SAME_POSITION)])
 
 
 def _told_at(own: Statement, part: Part, at: Array | None) -> tuple[Array, Array]:

@@ -153,22 +153,22 @@ def _products(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
 
 
 def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
+    slowly, positions = _slowly(observations), _positions(observations)
     for axis in "xyzabc":
         sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
         along = sign * sensed(observations, axis)
         # Where the direction of approach is unknown for some readings, the last is not a number.
         if len(np.unique(sign[sign != 0])) < 2 or not np.ptp(along) >= SAME_DIRECTION:
             continue
-        functions = {name: values[None] for name, values in _slowly(observations).items()}
+        functions = {name: values[None] for name, values in slowly.items()}
         if axis in "abc":
             functions[axis] = _waves(observations.readings.column(axis))
         else:
-            functions |= {other: _smooth(scaled) for other, scaled in _positions(observations).items()}
+            functions |= {other: _smooth(scaled) for other, scaled in positions.items()}
         for name, values in functions.items():
             both = say("shape.axes", one=named("column", f"dir_{axis}"), other=named("column", name))
             yield both, say("shape.lost_motion", axis=axis.upper(), other=named("column", name)), values * along
-        itself = _positions(observations).get(axis)
-        if itself is not None and len(places := _from_place_to_place(itself, sign)):
+        if axis in positions and len(places := _from_place_to_place(positions[axis], sign)):
             both = say("shape.axes", one=named("column", f"dir_{axis}"), other=axis)
             yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
 
