@@ -32,7 +32,6 @@ SESSIONS = 5
 """Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
 _CONTRADICTED_P = 1e-4  # p-value below which readings scatter more about their own model than those of the map did
 _JUMP = 3.0  # changes that are so many times the median one are counted as that
-_UNKNOWN = (1.0, 0)  # mean square and degrees of freedom of readings of which these are not known
 _REACHES = 0.8  # share of the usual range of a motion that a session reaches at least to tell its spread
 _SAME_POSITION = 1e-9  # positions that are one, m or rad
 
@@ -81,7 +80,7 @@ class Check:
     places: tuple[int, int]  # places at which the position errors are compared, and those of the earlier map
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
     # of both, as of `Statement.scatter`: mean squares about models of their own, and degrees of freedom
-    scatters: tuple[tuple[float, int], tuple[float, int]] = (_UNKNOWN, _UNKNOWN)
+    scatters: tuple[tuple[float, int], tuple[float, int]] = ((1.0, 0), (1.0, 0))
 
     @property
     def moved(self) -> tuple[Change, ...]:
@@ -102,17 +101,18 @@ class Check:
     @property
     def contradicted(self) -> bool:
         """Whether the readings of the measurement contradict a model of their own more than those of the map theirs."""
-        return _contradicted(*self.scatters)
+        earlier, now = self.scatters
+        return _contradicted(now, earlier)
 
     @property
     def misfit(self) -> bool:
         """Whether they contradict a model of their own at all."""
-        return _contradicted(_UNKNOWN, self.scatters[1])
+        return _contradicted(self.scatters[1])
 
     @property
     def map_misfit(self) -> bool:
         """Whether those of the map do."""
-        return _contradicted(_UNKNOWN, self.scatters[0])
+        return _contradicted(self.scatters[0])
 
     @property
     def holds(self) -> bool | None:
@@ -165,7 +165,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
     )
 
 
-def _contradicted(earlier: tuple[float, int], now: tuple[float, int]) -> bool:
+def _contradicted(now: tuple[float, int], earlier: tuple[float, int] = (1.0, 0)) -> bool:
     """Whether readings scatter more about their own model than earlier ones about theirs, if any, and than declared.
 
     Of mean squares and their degrees of freedom (F-test).
