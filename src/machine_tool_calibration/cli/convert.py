@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from importlib import resources
 from itertools import zip_longest
 from pathlib import Path
@@ -284,7 +283,7 @@ def command(
     else:
         session = open_measurement(source, topics, check=False) if own is None else own
         if foreign["trust_units"]:
-            session = replace(session, description=session.description.model_copy(update={"trust_units": True}))
+            session = session.trusted
         document = _written(session, target, form, start, namespace)
     if as_json:
         shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})

@@ -171,6 +171,11 @@ class Session:
         """The same measurement with other readings."""
         return replace(self, readings=readings, recorded=None)
 
+    @property
+    def trusted(self) -> Session:
+        """The same measurement, whose sizes, units and places are taken as they are."""
+        return replace(self, description=self.description.model_copy(update={"trust_units": True}))
+
     def without(self, gone: BoolArray, *, as_lost: bool = False) -> Session:
         """The same measurement with readings (n,) left out, or as missing ones; `as_recorded` still has them."""
         readings = self.readings

@@ -84,6 +84,8 @@ def predictions(
     shaped = [shaped_at(every, f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
     whole = _log_factors(every, every, shaped, search)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
+    # Readings that were taken together are not held against common mistakes by parts.
+    sessions = [session.trusted for session in sessions]
     for what, parts in _divisions(sessions):
         gains, readings, needed = [], 0, 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
