@@ -58,6 +58,23 @@ def approached(session: Session) -> Session:
     return session.with_readings(replace(session.readings, columns=columns))
 
 
+def approached_once(session: Session) -> Session:
+    columns = {**session.readings.columns, "dir_x": session.readings.columns["dir_x"].copy()}
+    columns["dir_x"][7] *= -1.0
+    return session.with_readings(replace(session.readings, columns=columns))
+
+
+def test_whence_a_run_comes_no_row_says(sound: Session) -> None:
+    """The first reading of a run may be approached from beyond it, and an axis from one side alone."""
+    columns = {**sound.readings.columns, "dir_x": sound.readings.columns["dir_x"].copy()}
+    begins = int(np.flatnonzero(np.diff(columns["dir_x"]) != 0)[0]) + 1
+    columns["dir_x"][begins] *= -1.0
+    run_of_its_own = replace(sound.readings, columns=columns, repeat=(np.arange(len(sound.readings)) >= begins) + 0)
+    assert not any("opposite" in told for told in suspicions([sound.with_readings(run_of_its_own)]))
+    one_side = replace(sound.readings, columns={**columns, "dir_x": np.ones(len(sound.readings))})
+    assert not any("opposite" in told for told in suspicions([sound.with_readings(one_side)]))
+
+
 def test_a_direction_of_approach_that_is_missing_once() -> None:
     """Where the axis came from stands for it: a backlash of 1.5 um had been "no effect and no pattern"."""
     spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=8, effects=(FlawSpec(id="backlash_x", amplitude=1.5e-6),))
@@ -171,6 +188,7 @@ CASES = [
     (lambda s: with_readings(s, lambda d: 1e-6 * d), "are they in another unit?"),
     (lambda s: with_readings(s, lambda d: np.round(d, 6)), "multiples of 1e-06 m, and each is uncertain by 2e-07 m"),
     (approached, "dir_x is opposite to the move of x before 20 of 20 readings: are its signs exchanged?"),
+    (approached_once, "x before 1 of 20 readings, and with it before the others: look at row 7"),
     (moved, "22 of 22 places are off the travel of X, 0 to 0.4 m: x = 1.4 m"),
 ]
 

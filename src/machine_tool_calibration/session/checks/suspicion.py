@@ -23,6 +23,7 @@ _WHOLE = 1e-6  # of a step: rounding
 _BY_CHANCE = 0.01  # probability of equal readings below which they are one reading
 _CHANGES = 0.2  # K by which a temperature changes while another one should, too
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
+_FEW_OPPOSITE = 0.05  # the same, of moves within runs, where they are in single rows
 
 
 def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None) -> list[str]:
@@ -127,14 +128,22 @@ def _repeated(session: Session) -> Iterator[str]:
 
 def _approached(session: Session) -> Iterator[str]:
     """Directions of approach against the moves; a probe goes back before it approaches."""
-    columns = session.readings.columns
-    for name in [] if "point" in session.readings.labels else [n for n in columns if f"dir_{n}" in columns]:
+    readings, columns = session.readings, session.readings.columns
+    # Whence the first reading of a run comes the row before does not say.
+    within = np.diff(groups(readings.setup, readings.repeat)) == 0
+    for name in [] if "point" in readings.labels else [n for n in columns if f"dir_{n}" in columns]:
         move, sense = np.sign(np.round(np.diff(columns[name]), 9)), columns[f"dir_{name}"][1:]
-        told = (move != 0.0) & (sense != 0.0)
-        opposite, n = int(np.sum(told & (sense == -move))), int(told.sum())
+        against, n = move * sense == -1.0, int(np.count_nonzero(move * sense))
         # From one side alone many machines approach whichever way they come.
-        if n >= _FEWEST_MOVES and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
-            yield say("suspicion.approach", column=name, n=opposite, count=n)
+        if n < _FEWEST_MOVES or len(np.unique(sense[move != 0.0])) < 2:
+            continue
+        if against.sum() > _OPPOSITE * n:
+            yield say("suspicion.approach", column=name, n=int(against.sum()), count=n)
+        # On a circle an axis turns between two readings.
+        single = np.flatnonzero(against & within & (not spec_of(session).centred))
+        if 0 < len(single) <= _FEW_OPPOSITE * n:
+            row = int(readings.row[single[0] + 1])
+            yield say("suspicion.few_approach", column=name, n=len(single), count=n, row=row)
 
 
 def _unrecorded(session: Session) -> Iterator[str]:
