@@ -17,6 +17,8 @@ from machine_tool_calibration.residuals.sums import residual_sums
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, measured_again, simulate
 
+from .. import plates
+
 # Two of them almost beside each other.
 CHIPS = [30, 32, 60, 90, 120, 150, 151]
 
@@ -115,3 +117,18 @@ def test_what_the_model_takes_up_is_no_number() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
     sums = residual_sums(fit_models([build_model(session)[0]]).fits[0], np.ones((1, len(session.readings))))
     assert np.isnan(sums.value).all() and np.isnan(sums.added).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "aside"), [(range(60, 90, 2), False), (range(60, 75), True), (range(10, 160, 10), True)]
+)
+def test_an_instrument_that_begins_to_fail_has_no_single_gross_errors(wrong: range, aside: bool) -> None:
+    """Half of a stretch of readings is wrong, or all of it, as by a broken beam, or one in ten of all."""
+    rng = np.random.default_rng(4)
+    read = rng.normal(0.0, 1e-6, 170)
+    read[list(wrong)] += 4e-5 * rng.choice([-1.0, 1.0], len(wrong)) * rng.uniform(1.0, 2.0, len(wrong))
+    columns = {"x": np.full(170, 0.1), "gx": np.ones(170), "gy": np.zeros(170), "gz": np.zeros(170)}
+    again = np.arange(170)
+    session = plates.session(columns | {"displacement": read}, 1e-6, "none", ["EXX"], again, repeats=170)
+    found = {one.row for one in find_outliers(session, lambda part: build_model(part)[0])}
+    assert found >= set(wrong) if aside else not found & set(wrong)

@@ -146,3 +146,10 @@ def test_advice_is_given_where_readings_were_set_aside() -> None:
     found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)))
     assert [one.row for one in found.gross_errors] == [20] and found.accepted == ("backlash_x",)
     assert what_to_measure(found).dominant is not None
+
+
+def test_whence_the_first_readings_come_nothing_says() -> None:
+    """Corners read one after the other, four times: each is approached from one side, but for where the first began."""
+    x, y = np.tile([0.0, 0.2, 0.2, 0.0], 4), np.tile([0.0, 0.0, 0.2, 0.2], 4)
+    up = {"gx": np.zeros(16), "gy": np.zeros(16), "gz": np.ones(16)}
+    assert not approaches(plates.session({"x": x, "y": y, **up, "displacement": 1e-6 * x}, 1e-6, "none", ["EZX"]))

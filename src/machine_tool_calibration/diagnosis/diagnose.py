@@ -19,12 +19,7 @@ from machine_tool_calibration.diagnosis.adding import (
     without_size,
     zero_is_open,
 )
-from machine_tool_calibration.diagnosis.search.candidates import (
-    Candidate,
-    between_the_grid,
-    effect_candidates,
-    in_the_model,
-)
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, in_the_model
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
     Structure,
@@ -36,19 +31,23 @@ from machine_tool_calibration.diagnosis.search.findings import Finding, in_order
 from machine_tool_calibration.diagnosis.search.laws import with_laws
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
-from machine_tool_calibration.effects.effect_terms import add_effects
+from machine_tool_calibration.diagnosis.start import (
+    Aside,
+    candidates_of,
+    first_model,
+    without_gross_errors,
+    without_suspects,
+)
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import suspicious_fits
-from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions, refuse_impossible
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.model.fit import JointFit, changed, declared
-from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import fit_quality, map_change, map_rms
 from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.progress import Progress, untold
-from machine_tool_calibration.residuals.averaged import mean_places
-from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
+from machine_tool_calibration.residuals.gross_errors import Outlier
 from machine_tool_calibration.residuals.noise import Noise, noise_of, pooled
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -76,7 +75,7 @@ class Diagnosis:
     predicted: dict[str, tuple[Prediction, ...]]
     refused: dict[str, str]  # effects that are probable and yet not added, with the reason
     excluded: dict[str, str]  # effects that could not be looked for, with the reason
-    set_aside: tuple[tuple[Outlier, ...], ...]  # readings of each session that were set aside
+    set_aside: Aside  # readings of each session that were set aside
 
     @property
     def fits(self) -> tuple[JointFit, ...]:
@@ -128,11 +127,16 @@ class Diagnosis:
         beside = {f.name: round(f.probability, 2) for f in left}
         return out | {BESIDE: beside} if beside else out
 
+    @property
+    def of_means(self) -> bool:
+        """Whether the means of places were searched, not their readings."""
+        counts = [[len(session.readings) for session in one.sessions] for one in (self.searched, self.chosen)]
+        return counts[0] != counts[1]
+
     @cached_property
     def with_found(self) -> FittedSessions:
         """The effects found with all readings, not with the means of their places."""
-        counts = [[len(session.readings) for session in one.sessions] for one in (self.searched, self.chosen)]
-        return self.fitted[-1] if counts[0] == counts[1] else fit_sessions(self.chosen.adding(self.accepted))
+        return fit_sessions(self.chosen.adding(self.accepted)) if self.of_means else self.fitted[-1]
 
     @cached_property
     def left(self) -> tuple[Structure, ...]:
@@ -196,11 +200,11 @@ def diagnose(subject: Session | FitRequest, *, progress: Progress = untold) -> D
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for gross errors", 0.0)
-        added, searched = _without_suspects(chosen, progress), dict[_Rows, Diagnosis]()
+        added, searched = without_suspects(chosen, progress), dict[_Rows, Diagnosis]()
         found: Diagnosis | None = None
         for _ in range(_GROSS_ERROR_ROUNDS):
             # Gross errors beside the effects at hand, then effects without these errors, until neither changes.
-            kept, aside = _without_gross_errors(chosen, added)
+            kept, aside = without_gross_errors(chosen, added)
             last, rows = found, _rows(aside)
             if rows not in searched:
                 searched[rows] = _search(kept, aside, progress)
@@ -217,55 +221,10 @@ def _rows(outliers: Sequence[Sequence[Outlier]]) -> _Rows:
     return tuple(frozenset(outlier.row for outlier in own) for own in outliers)
 
 
-def _without_gross_errors(
-    chosen: FitRequest, added: Sequence[str]
-) -> tuple[FitRequest, tuple[tuple[Outlier, ...], ...]]:
-    """What is chosen without the gross errors beside these effects, and these errors, session by session."""
-    build = _alone(chosen, added)
-    aside = tuple(tuple(find_outliers(one, build, lambda part: chosen.base(part)[0])) for one in chosen.sessions)
-    return replace(chosen, sessions=tuple(map(without, chosen.sessions, aside))), aside
-
-
-def _without_suspects(chosen: FitRequest, progress: Progress) -> tuple[str, ...]:
-    """Effects that are probable without all that may be wrong; none where nothing lies far out.
-
-    Gross errors that an effect hides may in turn hide the effect, which shows among the other readings (masking).
-    Laws are taken to hold exactly: what is found here is looked for again.
-    """
-    build = _alone(chosen, ())
-    suspected = [suspected_rows(session, build) for session in chosen.sessions]
-    if not any(map(len, suspected)):
-        return ()
-    each = zip(chosen.sessions, suspected, strict=True)
-    sessions = tuple(session.without(np.isin(session.readings.row, rows)) for session, rows in each)
-    progress("effects without what lies far out", 0.1)
-    try:
-        _, first, _ = _first_model(replace(chosen, sessions=sessions))
-        pool = with_laws(first.joint, chosen.present)
-        candidates, present = _candidates(chosen, first)[0], in_the_model(pool, chosen.present)
-        return search_effects(pool, candidates, structure_candidates(pool), exact_laws=True, present=present).accepted
-    except ModelError:
-        # What is left does not allow the model: then it says nothing of what is missing.
-        return ()
-
-
-def _alone(chosen: FitRequest, added: Sequence[str]) -> Callable[[Session], MethodModel]:
-    """The model of a session by itself beside further effects."""
-    several = len(chosen.sessions) > 1
-    present = [*chosen.present, *(effect for effect in chosen.absent if effect.id in added)]
-
-    def build(session: Session) -> MethodModel:
-        base = chosen.base(session)[0]
-        # One of several has those effects that can act in it.
-        return add_effects(base, [e for e in present if not several or e.why_not(base.observations) is None])
-
-    return build
-
-
-def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress: Progress) -> Diagnosis:
+def _search(chosen: FitRequest, aside: Aside, progress: Progress) -> Diagnosis:
     """The diagnosis of sessions without what was set aside."""
-    searched, first, repeated = _first_model(chosen)
-    candidates, excluded = _candidates(chosen, first)
+    searched, first, repeated = first_model(chosen)
+    candidates, excluded = candidates_of(chosen, first)
     progress(f"{len(candidates)} effects, alone and together", 0.2)
     search, predicted, added = _feasible(searched, first, candidates, progress)
     noise = pooled(search.noise, search.fit.p_value)
@@ -296,15 +255,6 @@ def _search(chosen: FitRequest, aside: tuple[tuple[Outlier, ...], ...], progress
     if verdict == found.verdict:
         return found
     return replace(found, verdict=verdict, accepted=(), fitted=added.fitted[:1], noise=noise)
-
-
-def _candidates(chosen: FitRequest, first: FittedSessions) -> tuple[list[Candidate], dict[str, str]]:
-    """Effects that may be missing, and why each of the others is not looked for."""
-    # Error motions that the model holds as random functions, under names of their own.
-    held = {t.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for t in model.terms if "." in t.name}
-    candidates, excluded = effect_candidates(Pool(first.joint), [e for e in chosen.absent if e.id not in held])
-    excluded |= {e.id: "the model has it already, as a random function" for e in chosen.absent if e.id in held}
-    return candidates, excluded
 
 
 def _feasible(
@@ -353,18 +303,6 @@ def _feasible(
             in_place = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))
             instead_of = {name: in_place for name in search.accepted if name not in names}
             return search, predicted, added._replace(refused=refused, impossible=added.impossible | instead_of)
-
-
-def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise | None]:
-    """What is searched, its fit, and where places that were measured repeatedly have their means, what repeats say."""
-    chosen = replace(chosen, alternatives={})  # what is in the model is taken for what it is
-    first = fit_sessions(chosen)
-    refuse_impossible(first)
-    averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None
-    if averaged is None:
-        return chosen, first, None
-    searched = replace(chosen, sessions=averaged[:1])
-    return searched, fit_sessions(searched), averaged[1]
 
 
 def _resolved(

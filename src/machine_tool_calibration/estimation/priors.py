@@ -140,6 +140,10 @@ from which it is told."""
 SINGLE = 0.2
 """Share of the readings beyond which gross errors are no longer single, and none is set aside."""
 
+CROWD, STRETCH, CROWDED, BROKEN = 8, 10, 0.33, 0.67
+"""Gross errors, so many readings apart at most, from which a stretch by itself says whether they are single, and shares
+of it: fewer come by chance; of more all are wrong, as with a broken beam. In between an instrument begins to fail."""
+
 MISFIT = 1.1
 """Scatter over the declared uncertainty from which several wrong readings may hide each other (masking)."""
 

@@ -62,6 +62,8 @@ _COVERED, _MOST_SIZES, _MOST_WITH_RANDOM = 0.99, 24, 3
 _ENOUGH = 20_000
 # Readings times unknowns up to which the noise's memory is in it, for the computer's.
 _NUMBERS = 10_000_000
+# Setups up to which what is read in several of them is held against itself, for the computer's.
+_MOST_SETUPS = 200
 # Share of a function's squares outside the model below which the model absorbs it: a run's constant, mostly.
 _LEAST_SHARE_LEFT = 1e-3
 
@@ -131,8 +133,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     if u or solved.random is not None:
         found = _average_over_sizes(solved, problem, wider)
     else:
-        repeated = _of_repeats(solved, ())
-        again = (0.0, 0.0) if repeated is None else repeated.whole(float(repeated.gram[-1, -1]), repeated.dof)
+        again = [one.whole(float(one.gram[-1, -1]), one.dof) for one in _of_repeats(solved, ()) if one is not None]
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
         none, known, left = np.zeros(0), solution.covariance, solution.chi_square
         found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, known, np.zeros_like(known))
@@ -193,15 +194,15 @@ class _Probable:
     ratios: Array  # (s, families) of them in units of the noise, the most probable first
     weights: Array  # (s,) their probabilities, whose sum is 1
     squares: float  # weighted sum of squares that is left beside them
-    again: tuple[float, float]  # squares and degrees of freedom of readings of the same thing; zeros without any
+    again: list[tuple[float, float]]  # squares and degrees of freedom of readings of the same thing, as far as any are
     unrepeated: BoolArray  # (families,) those of which readings of the same thing tell nothing
 
 
-def _probable_sizes(outside: Gram, repeated: PureError | None, absorbed: BoolArray, most: int) -> _Probable:
-    """Readings of the same thing tell the sizes where there are such, else all of them do."""
+def _probable_sizes(outside: Gram, repeated: Sequence[PureError | None], absorbed: BoolArray, most: int) -> _Probable:
+    """Readings of the same thing in one setup tell the sizes where there are such, else all of them do."""
     families = int(outside.family.max(initial=-1)) + 1
-    pure = repeated.outside(absorbed, outside.family) if repeated is not None else None
-    same = outside if pure is None or not families else pure
+    pure = [None if one is None else one.outside(absorbed, outside.family) for one in repeated]
+    same = outside if not pure or pure[0] is None or not families else pure[0]
     shown, whole = (np.bincount(outside.family, np.diag(one.inner), families) for one in (same, outside))
     unrepeated = shown < _LEAST_SHARE_LEFT * whole
     found = components(outside if unrepeated.all() else same)
@@ -212,11 +213,10 @@ def _probable_sizes(outside: Gram, repeated: PureError | None, absorbed: BoolArr
     weights = found.weights[order] / found.weights[order].sum()
     tried = [found.ratios[k] for k in order]
     squares = float(weights @ [left_at(outside, ratio)[1] for ratio in tried])
-    again = (0.0, 0.0)
-    if repeated is not None and pure is not None:
-        again = repeated.whole(left_at(pure, tried[0])[1], pure.dof)
+    pairs = [(one, own) for one, own in zip(repeated, pure, strict=True) if one is not None and own is not None]
+    again = [one.whole(left_at(own, tried[0])[1], own.dof) for one, own in pairs]
     ratios: Array = np.array(tried).reshape(len(tried), families)
-    return _Probable(found, ratios, weights, squares, again, unrepeated | (repeated is None))
+    return _Probable(found, ratios, weights, squares, again, unrepeated | (same is outside))
 
 
 def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Marginal:
@@ -248,8 +248,12 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
     if solution.chi_square - known.squares < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = known.unrepeated[own] & np.array([names[was[k]] != CURVES for k in own], dtype=bool)
     tau = np.zeros((len(known.weights), u))
-    # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too.
-    tau[:, runs] = known.ratios[:, own] * plain * min(known.found.noise, 1.0) / scatter
+    # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too,
+    # unless the machine itself was read again.
+    again = _direct(solved) & ~known.unrepeated[own]
+    tau[:, runs] = (
+        known.ratios[:, own] / scatter * np.where(again, known.found.noise, plain * min(known.found.noise, 1.0))
+    )
     if imperfect.any():  # in those of what readings scatter by: the lack of fit, of places, grows with their repeats
         both = np.append(runs, np.flatnonzero(imperfect))
         tau[:, imperfect] = misfit(projected, both, own, tuple(known.ratios[0]), dof) * plain / scatter
@@ -371,27 +375,40 @@ def _with_random(
     return found, step, covariance
 
 
-def _of_repeats(solved: Solved, families: Sequence[str]) -> PureError | None:
-    """Readings of the same thing; None also where runs have constants of their own, which are not among `families`."""
+def _of_repeats(solved: Solved, families: Sequence[str]) -> list[PureError | None]:
+    """Readings of the same thing in one setup, and of what is read directly in any setup.
+
+    None where there are too few; nothing where runs have constants of their own, which are not among `families`.
+    """
     observed = [model.observations for model in solved.assembly.models]
-    if not families and not all(spec_of(one.session).reads_machine for one in observed):
-        return None
-    return of_repeats(observed, [solved.normalised(k) for k in range(len(observed))], families)
+    if not (families or _direct(solved)):
+        return []
+    setups = max(len(np.unique(one.readings.setup)) for one in observed)
+    ways = (True, False) if _direct(solved) and 1 < setups <= _MOST_SETUPS else (True,)
+    left = [solved.normalised(k) for k in range(len(observed))]
+    return [of_repeats(observed, left, families, in_setups=way) for way in ways]
 
 
-def _scatter(squares: float, dof: int, again: tuple[float, float] = (0.0, 0.0)) -> float:
+def _direct(solved: Solved) -> bool:
+    """Whether the machine itself is read."""
+    return all(spec_of(model.observations.session).reads_machine for model in solved.assembly.models)
+
+
+def _scatter(squares: float, dof: int, again: Sequence[tuple[float, float]] = ()) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
     Less scatter makes nothing better: an instrument may be off by the same amount everywhere. Where readings of the
     same thing agree better than the model fits, what is left is of the places, of which there are fewer than readings:
     it scatters by the mean square of the lack of fit (Draper and Smith 1998, section 2.1). Sum of weighted squares and
-    degrees of freedom are what is left beside what does not reproduce; `again` those of readings of the same thing.
+    degrees of freedom are what is left beside what does not reproduce; `again` those of readings of the same thing, in
+    one setup and in any: what differs most counts.
     """
-    variance = float(noise_variance(squares, dof))
-    if dof > again[1] > 0:
-        lacking = max(squares - again[0], 0.0) / variance
-        variance *= max(float(noise_variance(lacking, dof - again[1])), 1.0)
-    return float(np.sqrt(max(variance, 1.0)))
+    variances = [1.0, float(noise_variance(squares, dof))]
+    for own, known in again:
+        if dof > known > 0:
+            pure = float(noise_variance(own, known))
+            variances.append(pure * float(noise_variance(max(squares - own, 0.0) / pure, dof - known)))
+    return float(np.sqrt(max(variances)))
 
 
 def _sizes(

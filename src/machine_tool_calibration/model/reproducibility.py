@@ -17,6 +17,7 @@ from machine_tool_calibration.arrays import (
     IntArray,
     groups,
     in_order_of_appearance,
+    inverse_root,
     means_of,
     occurrence,
     within,
@@ -163,8 +164,8 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
 
     Runs that differ only because something drifts through all of them would otherwise count as that many random
     functions, which move the map. Few do not tell the one from the other. Where the machine's deviations are read
-    themselves, a drift is the machine's own. Runs without times may have slopes, too, in the order of their readings:
-    a search looks for these as a pattern.
+    themselves, a drift is the machine's own. Runs without times may have slopes, too, in the order of their readings,
+    unless that is a raster over an area: a search looks for these as a pattern.
     """
     families = tuple(family for family in _of_session(observations, True) if not family.name.startswith("rows"))
     return (*families, *_drift(observations, families), *_curves(observations))
@@ -182,14 +183,17 @@ def _drift(observations: Observations, families: Sequence[Family]) -> tuple[Fami
     return (Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offsets_of_each=0),)
 
 
-def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:
+def of_repeats(
+    observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str], *, in_setups: bool = True
+) -> PureError | None:
     """What readings of the same thing tell of these families; None where too little was read again.
 
-    The residuals (n,) of each session are over the declared uncertainty.
+    The residuals (n,) of each session are over the declared uncertainty. In other setups the same is read again, too,
+    beside an offset of each, unless that is to be `in_setups`.
     """
     columns, left, dof, lost = [], [], 0, 0
     for observations, residual in zip(observed, residuals, strict=True):
-        place = observations.place
+        place = observations.readings.alike(setup=in_setups)
         stride = -(-len(place) // _ENOUGH)
         some = np.flatnonzero(place % stride == 0)
         mine = groups(place[some])
@@ -199,6 +203,9 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         families = [family.columns()[:, some] for family in with_drift(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
         both -= np.array([means_of(mine, values) for values in both])
+        if not in_setups:
+            both, offsets = _beside_setups(both, mine, groups(observations.readings.setup[some]))
+            dof -= offsets
         columns.append(both[:-1])
         left.append(both[-1])
     if dof < priors.ENOUGH_REPEATS:
@@ -208,7 +215,21 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
     return PureError(whole, dof, lost)
 
 
-def _family(observations: Observations, name: str, group: IntArray, by_order: bool) -> Family:
+def _beside_setups(values: Array, place: IntArray, setup: IntArray) -> tuple[Array, int]:
+    """Values (k, n) without their places' means beside an offset of each setup, too; and how many of these there are.
+
+    What is all of offsets is nothing then, and no rounding.
+    """
+    offsets = np.eye(1 + setup.max())[setup].T
+    offsets -= np.array([means_of(place, one) for one in offsets])
+    squares = np.sum(offsets**2, axis=1)
+    basis = inverse_root(offsets @ offsets.T, np.maximum(squares, _ROUNDING), _ROUNDING).T @ offsets
+    left = values - (values @ basis.T) @ basis
+    kept = np.sum(left**2, axis=1) > _ROUNDING * np.sum(values**2, axis=1)
+    return np.where(kept[:, None], left, 0.0), len(basis)
+
+
+def _family(observations: Observations, name: str, group: IntArray, by_order: bool = False) -> Family:
     """One with smooth functions of the groups' time; of many groups with fewer, of very many offsets of several."""
     count = int(group.max(initial=0)) + 1
     if count > _MOST_GROUPS:
@@ -251,7 +272,8 @@ def _of_direct(observations: Observations, by_order: bool) -> Iterator[Family]:
     run = observations.readings.repeat_of_setup
     if len(moved) >= 2:
         if _tell(observations.place, run):
-            yield _moved_aside(observations, _family(observations, "run", run, by_order))
+            # The order of a raster is a place, too: without times what goes on with it is the machine's.
+            yield _moved_aside(observations, _family(observations, "run", run))
         if spec_of(observations.session).centred:
             way = _ways_round(observations.direction, run)
             if _tell(observations.readings.alike(approach=False), way):

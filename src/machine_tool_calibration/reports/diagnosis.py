@@ -150,6 +150,7 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
         "size": True,
         "cross": any(diagnosis.predicted.get(one.name) for one in listed),
         "residual": True,
+        "means": diagnosis.of_means,
         "without": True,
         "others": diagnosis.accepted,
         "plausible": not all(one.plausible for one in ranked),
@@ -293,6 +294,7 @@ def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTabl
     return table(
         say(f"found.{title}"),
         [*own, *likely] if own else others,
+        say("found.note_means") if diagnosis.of_means else "",
         effect=lambda one: _marked(diagnosis, one),
         probability=lambda one: probability(one.probability),
         size_u=lambda one: _sizes(one, changes),

@@ -96,9 +96,25 @@ def find_outliers(
         found = [*found, *more]
         if not more:
             break
-    if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+    read = session.readings.row[np.isfinite(session.readings.displacement)]
+    if len(found) > priors.SINGLE * max(len(read), 1):
         return []
+    crowded = _crowded(np.searchsorted(np.sort(read), [o.row for o in found]))
+    found = [o for o, more in zip(found, crowded.tolist(), strict=True) if not more]
     return sorted(found, key=lambda o: -abs(o.studentized))
+
+
+def _crowded(at: IntArray) -> BoolArray:
+    """(k,) which of readings, by their numbers in a row, are so many in a stretch that these are not single.
+
+    There an instrument begins to fail, or something moves. Where most of a stretch are wrong a beam was broken.
+    """
+    out, order = np.zeros(len(at), dtype=bool), np.argsort(at)
+    for own in np.split(order, np.flatnonzero(np.diff(at[order]) > priors.STRETCH) + 1):
+        if len(own) >= priors.CROWD:
+            share = len(own) / (at[own[-1]] - at[own[0]] + 1)
+            out[own] = priors.CROWDED < share < priors.BROKEN
+    return out
 
 
 def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = False) -> Session:
@@ -395,7 +411,7 @@ class _Search:
         for k, repeated in zip(every, again.tolist(), strict=True):
             deviation, times = float(fit.residual[k] * self.sigma[k]), float(predicted[k])
             others = [int(j) for j in alike.get(int(k), ()) if j != k]
-            words = f"it is off by {_size(deviation)} from what all others say, {abs(times):.1f} times its scatter"
+            words = f"off by {_size(deviation)} from what all others say, {abs(times):.1f} times its scatter"
             if others:
                 words = f"it, or others of rows {', '.join(str(int(rows[j])) for j in others)}, contradict the rest"
                 if len(others) == 1 and place[others[0]] == place[k]:

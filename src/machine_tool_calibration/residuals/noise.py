@@ -81,14 +81,15 @@ def noise_of(fit: Fit) -> Noise:
         explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
         explained_all, rank_all = _explained(inner, right)
         dof = alone.solution.degrees_of_freedom - rank_all
-        if dof >= priors.ENOUGH_REPEATS and rank_all > rank_spread:
+        if dof >= priors.ENOUGH_REPEATS:
             break
-    else:  # the model may be of the places themselves: then nothing is left to compare
+    else:
         return Noise(declared, counted, None, free, p_value, None, _as_read(fit))
     rounding = rounding_of(readings.displacement) / counted
     pure = max((alone.solution.chi_square - explained_all) / dof, rounding**2, 1e-12 / dof)
     lacking, more = max(explained_all - explained_spread, 0.0), rank_all - rank_spread
-    lack = float(special.fdtrc(more, dof, lacking / more / pure))
+    # A model of the places themselves lacks nothing of them.
+    lack = float(special.fdtrc(more, dof, lacking / more / pure)) if more else None
     share = lacking / max(alone.solution.chi_square, np.finfo(float).tiny)
     return Noise(declared, counted, float(np.sqrt(pure)) * counted, round(dof), p_value, lack, _as_read(fit), share)
 

@@ -92,17 +92,19 @@ def approaches(session: Session) -> Mapping[str, Array]:
     # Along a line a run turns beyond its end; of several axes each stays where it is.
     lines = [sum(np.ptp(own[mine]) > 0 for own in steps.values()) < 2 for mine in setups]
     for axis in lacking if steps else ():
-        sense = np.zeros(len(setup))
+        sense, told = np.zeros(len(setup)), np.ones(len(setup), dtype=bool)
         for mine, line in zip(setups, lines, strict=True):
+            # Whence the first readings come nothing says until the axis moves; a run along a line comes from beyond it.
+            told[mine] = line | (np.cumsum(np.diff(steps[axis][mine], prepend=steps[axis][mine[0]]) != 0) > 0)
             begins = np.arange(len(mine)) == 0
             if line:
                 begins |= begins_run(steps[axis][mine], whole.repeat[known][mine], moved[mine])
             sense[mine] = senses(steps[axis][mine], moved[mine] | (not line), begins)
         # Of the share that moved, less that by which one side is the more frequent: twice that of the rarer side.
-        at = groups(several, steps[axis])
-        mean, share = means_of(at, sense), means_of(at, np.abs(sense))
+        at, came = groups(several[told], steps[axis][told]), sense[told]
+        mean, share = means_of(at, came), means_of(at, np.abs(came))
         either = share - np.abs(mean) >= 2.0 * _RARER
-        if np.any(sense) and np.mean(either[sense != 0.0]) >= _EITHER:
+        if np.any(came) and np.mean(either[came != 0.0]) >= _EITHER:
             filled = np.zeros(len(whole))
             filled[known] = sense
             out[f"dir_{axis}"] = filled[kept]

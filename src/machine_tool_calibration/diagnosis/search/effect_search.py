@@ -401,7 +401,7 @@ def of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     out = []
     for own, noise in zip(fit.fits, every, strict=True):
         p = noise.lack_of_fit_p
-        if noise.is_all(noise.as_read, fit.reduced_chi_square):
+        if noise.is_all(noise.from_repeats, fit.reduced_chi_square):
             continue  # a place is not even the same from run to run
         if p is not None and p < priors.LACK_OF_FIT_P:
             what = "place" if own.model.observations.moves else "target"
