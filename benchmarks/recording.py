@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,6 @@ from machine_tool_calibration.recording.cdr import (
     definition_of,
     encode,
     encode_joint_state,
-    joint_state,
     part,
     typestore,
 )
@@ -91,7 +90,7 @@ def speed(count: int) -> None:
             writer.finish()  # type: ignore[no-untyped-call]
 
     def read_own(path: Path, topic: str, kind: str) -> int:
-        read: Callable[[bytes], object] = joint_state if kind == JOINT_STATE else partial(decode, kind)
+        read = partial(decode, kind)
         return sum(read(message.data) is not None for message in BagReader(path).messages([topic]))
 
     def read_rosbags(path: Path, topic: str, kind: str) -> int:
@@ -258,7 +257,7 @@ def kill(count: int, seed: int) -> None:
                 [decode(NUMBERS, message.data).data for message in bag.messages(["/instrument/displacement"])]
             )
             assert np.array_equal(samples, np.arange(len(samples))), "a gap"
-            cost = killed - float(joint_state(last.data).positions[0])
+            cost = killed - float(decode(JOINT_STATE, last.data).position[0])
             costs.append(cost)
             print(f"{number + 1:3}: {report.messages} messages saved, the last {cost:.3f} s lost", flush=True)
     print(f"{count} kills: lost {np.median(costs):.3f} s in the middle, at most {max(costs):.3f} s")

@@ -16,7 +16,7 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.heard import SERVICES, Heard
 from machine_tool_calibration.nodes.ros.messages import READINGS, from_message
-from machine_tool_calibration.recording.cdr import joint_state
+from machine_tool_calibration.recording.cdr import JOINT_STATE, decode
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import session_from_bag
@@ -197,8 +197,8 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     times = [message.log_time for message in bag.messages()]
     assert begin <= min(times) and max(times) < end
     # a reading is captured at the end of the dwell, and logged before the next move ends
-    stamped = [(message.log_time, joint_state(message.data).stamp) for message in bag.messages(["/reading"])]
-    late = np.array([(logged - stamp) * 1e-9 for logged, stamp in stamped])
+    readings = [(m.log_time, decode(JOINT_STATE, m.data).header.stamp) for m in bag.messages(["/reading"])]
+    late = np.array([(logged - stamp.sec * 10**9 - stamp.nanosec) * 1e-9 for logged, stamp in readings])
     assert len(late) == 72 and np.median(late) == pytest.approx(0.05, abs=1e-6)
     for message in bag.messages():
         header = getattr(bag.decode(message), "header", None)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.errors import RecordingError, SessionError
-from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, joint_state, part
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, decode, encode, encode_joint_state, part
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import reading_columns, session_from_bag, session_to_bag
@@ -51,9 +51,10 @@ def test_there_and_back(name: str, namespace: str, tmp_path: Path) -> None:
 def test_readings_are_in_the_frame_of_the_machine(tmp_path: Path) -> None:
     session = read_session(DATA / "rotary_axis")
     session_to_bag(session, tmp_path / "bag")
-    messages = [joint_state(message.data) for message in BagReader(tmp_path / "bag").messages(["/reading"])]
-    assert {message.frame for message in messages} == {"machine"}
-    assert [message.value("setup_index") for message in messages] == session.readings.setup.tolist()
+    messages = [decode(JOINT_STATE, message.data) for message in BagReader(tmp_path / "bag").messages(["/reading"])]
+    assert {message.header.frame_id for message in messages} == {"machine"}
+    setups = [message.position[message.name.index("setup_index")] for message in messages]
+    assert setups == session.readings.setup.tolist()
 
 
 def test_missing_values_and_text_columns(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ class Recorder(ManagedNode):
     def _register(self, tap: Tap) -> None:
         # a standard type's definition and hash are known; else the publisher tells the hash
         offered = tuple(with_depth(tap.topic, tap.type, profile) for profile in tap.offered)
-        self.bag.add_topic(tap.topic, tap.type, qos=offered, type_hash=tap.type_hash or None)
+        self.bag.add_topic(tap.topic, tap.type, qos=offered, type_hash=tap.type_hash)
 
     def _take(self, *, last: bool = False) -> None:
         if self._waiting:

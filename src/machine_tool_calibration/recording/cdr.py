@@ -46,29 +46,6 @@ NUMBERS = "std_msgs/msg/Float64MultiArray"
 TEXT = "std_msgs/msg/String"
 
 
-@dataclass(frozen=True)
-class JointState:
-    """A `sensor_msgs/JointState` without velocities and efforts; stamp in ns."""
-
-    stamp: int
-    frame: str
-    names: tuple[str, ...]
-    positions: Array
-
-    def value(self, name: str) -> float:
-        """The position of that name; NaN if there is none."""
-        index = self.names.index(name) if name in self.names else len(self.positions)
-        return float(self.positions[index]) if index < len(self.positions) else float("nan")
-
-
-def joint_state(data: bytes) -> JointState:
-    """The content of a JointState; a RecordingError if it is damaged."""
-    message = decode(JOINT_STATE, data)
-    stamp = message.header.stamp
-    names, positions = tuple(message.name), np.asarray(message.position, dtype=np.float64)
-    return JointState(stamp.sec * 1_000_000_000 + stamp.nanosec, message.header.frame_id, names, positions)
-
-
 def text(data: bytes) -> str:
     """The content of a std_msgs/String; a RecordingError if it is damaged."""
     return str(decode(TEXT, data).data)

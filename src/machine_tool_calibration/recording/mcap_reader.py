@@ -23,6 +23,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, Schema, Sta
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
+from machine_tool_calibration.recording.metadata import Topic, offered_qos
 from machine_tool_calibration.session.text import reading
 
 _HEAD = struct.Struct("<BQ")
@@ -158,6 +159,13 @@ def messages_in(
         channel, sequence, log_time, publish_time = messages(content, start)
         if wanted is None or channel in wanted:
             yield RawMessage(channel, sequence, log_time, publish_time, content[start + _MESSAGE.size : at])
+
+
+def topic_of(channel: Channel, schema: Schema | None, messages: int = 0) -> Topic:
+    """The topic of a channel that has so many messages."""
+    told = channel.metadata
+    qos, kind = offered_qos(told.get("offered_qos_profiles", "")), schema.name if schema else ""
+    return Topic(channel.topic, kind, told.get("topic_type_hash", ""), qos, messages, channel.message_encoding)
 
 
 @dataclass

@@ -3,14 +3,15 @@
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
 from machine_tool_calibration.errors import RecordingError, SessionError, UnfinishedError
 from machine_tool_calibration.recording.cdr import decode, definition_of
-from machine_tool_calibration.recording.mcap_reader import McapReader
-from machine_tool_calibration.recording.metadata import Topic, offered_qos
+from machine_tool_calibration.recording.mcap_reader import McapReader, topic_of
+from machine_tool_calibration.recording.metadata import Topic
 from machine_tool_calibration.session.text import read_yaml
 
 _LARGEST_METADATA = 2 << 20
@@ -148,18 +149,11 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
     for reader in readers:
         known = reader.summary.channels
         for number, channel in known.channels.items():
-            count = reader.summary.counts.get(number, 0)
-            schema = known.schemas.get(channel.schema_id)
-            kind = schema.name if schema is not None else ""
-            before = topics.get(channel.topic)
-            if before is not None and before.type != kind:
-                raise RecordingError(f"{reader.path}: {channel.topic} has two types, {before.type!r} and {kind!r}")
-            topics[channel.topic] = Topic(
-                name=channel.topic,
-                type=kind,
-                encoding=channel.message_encoding,
-                type_hash=channel.metadata.get("topic_type_hash", ""),
-                qos=offered_qos(channel.metadata.get("offered_qos_profiles", "")),
-                messages=count + (before.messages if before else 0),
-            )
+            topic = topic_of(channel, known.schemas.get(channel.schema_id), reader.summary.counts.get(number, 0))
+            if (before := topics.get(topic.name)) is not None:
+                if before.type != topic.type:
+                    types = f"{before.type!r} and {topic.type!r}"
+                    raise RecordingError(f"{reader.path}: {topic.name} has two types, {types}")
+                topic = replace(topic, messages=topic.messages + before.messages)
+            topics[topic.name] = topic
     return topics

@@ -15,8 +15,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording import mcap_reader
-from machine_tool_calibration.recording.mcap_reader import RawMessage, RawRecord, messages_in, records, unpack
-from machine_tool_calibration.recording.metadata import offered_qos
+from machine_tool_calibration.recording.mcap_reader import RawMessage, RawRecord, messages_in, records, topic_of, unpack
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.text import begins_with
 
@@ -46,7 +45,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
     files = _files(path)
     if not any(begins_with(file, MAGIC) for file in files):
         raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
-    problems, lost, added = list[str](), 0, set[str]()
+    problems, lost = list[str](), 0
     sizes = [file.stat().st_size for file in files]
     with BagWriter(output) as bag:
         for number, file in enumerate(files):
@@ -57,9 +56,9 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
 
             salvage = _Salvage(file, read)
             for channel, schema, message in salvage.messages():
-                if channel.topic not in added:
-                    _add(bag, channel, schema)
-                    added.add(channel.topic)
+                if not bag.has(channel.topic):
+                    form, definition = (schema.encoding, schema.data) if schema else ("", b"")
+                    bag.register(topic_of(channel, schema), form, definition)
                 bag.write(channel.topic, message.data, message.log_time, message.publish_time, message.sequence)
             read(sizes[number])
             problems += salvage.problems
@@ -99,18 +98,6 @@ def _number(path: Path) -> tuple[int, str]:
     """Files of a split recording in the order of their numbers."""
     match = re.search(r"_(\d{1,9})$", path.stem)
     return (int(match.group(1)) if match else -1, path.name)
-
-
-def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
-    bag.add_topic(
-        channel.topic,
-        schema.name if schema else "",
-        qos=offered_qos(channel.metadata.get("offered_qos_profiles", "")),
-        definition=schema.data.decode("utf-8", "replace") if schema else "",
-        type_hash=channel.metadata.get("topic_type_hash", ""),
-        encoding=channel.message_encoding,
-        schema_encoding=schema.encoding if schema else "",
-    )
 
 
 class _Salvage:

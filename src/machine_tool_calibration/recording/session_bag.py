@@ -4,12 +4,13 @@
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError, SessionError
-from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, joint_state, text
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, decode, encode, encode_joint_state, text
 from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, SESSION, find_topics
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
@@ -73,15 +74,16 @@ def _runs(
         elif message.topic == labels:
             kept = _labels(bag, message)
         else:
-            reading = bag.read(message, joint_state)
-            if lacking := lacking_of(reading.names):  # ignored, as by every node of the graph
+            reading = bag.read(message, partial(decode, JOINT_STATE))
+            if lacking := lacking_of(reading.name):  # ignored, as by every node of the graph
                 fault = fault or f"{place.row(len(collector))}: {lacking}"
                 continue
             # the same description again, and its clock starts anew: the procedure was started again
-            if again and reading.value("time") < collector.last_time:
+            time = dict(zip(reading.name, reading.position, strict=False)).get("time", np.nan) if again else np.nan
+            if time < collector.last_time:
                 yield collector, kept
                 collector, kept = Collector(collector.description, place), {}
-            collector.add(reading.names, reading.positions)
+            collector.add(reading.name, reading.position)
             again = False
     if len(collector):
         yield collector, kept

@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.writer import IndexType, Writer
@@ -59,13 +59,6 @@ class _File:
         os.close(self._handle)
 
 
-@dataclass
-class _Registered:
-    summary: metadata.Topic
-    definition: bytes
-    schema_encoding: str
-
-
 class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes serialized messages; a kill costs at most what came since the last chunk.
 
@@ -94,7 +87,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         # A file is as large as asked to a tenth: it ends with a chunk.
         self._chunk_bytes = min(chunk_bytes, split_bytes // 10) if split_bytes else chunk_bytes
         self._split_bytes, self._split_time = split_bytes, int(split_seconds * 1e9)
-        self._topics: dict[str, _Registered] = {}
+        self._topics: dict[str, metadata.Topic] = {}
+        self._definitions: dict[str, tuple[str, bytes]] = {}  # of message types: form and text
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self.summaries: list[metadata.FileSummary] = []  # what each file holds so far
@@ -120,7 +114,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def topics(self) -> tuple[metadata.Topic, ...]:
         """The topics with their numbers of messages."""
         return tuple(
-            replace(topic.summary, messages=sum(file.by_topic.get(name, 0) for file in self.summaries))
+            replace(topic, messages=sum(file.by_topic.get(name, 0) for file in self.summaries))
             for name, topic in self._topics.items()
         )
 
@@ -138,33 +132,21 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Whether anything waits to be written, as it does where the disk is full."""
         return self._file is not None and bool(self._file.waiting)
 
-    def add_topic(
-        self,
-        name: str,
-        message_type: str,
-        *,
-        qos: Sequence[metadata.Qos] = (),
-        definition: str | None = None,
-        type_hash: str | None = None,
-        encoding: str = "cdr",
-        schema_encoding: str | None = None,
-    ) -> None:
+    def add_topic(self, name: str, message_type: str, *, qos: Sequence[metadata.Qos] = (), type_hash: str = "") -> None:
         """Register a topic by its absolute name and a type such as `sensor_msgs/msg/JointState`; again is ignored.
 
-        `qos` is what the publishers offer. The definition, a text with its parts, and its hash `RIHS01_…` are looked up
-        if None; the form of a definition is `ros2msg`, or empty where it is not known.
+        `qos` is what the publishers offer; the type's hash `RIHS01_…` is the standard type's where it is not told.
         """
-        if name in self._topics:
-            return
-        if definition is None or type_hash is None:
-            known = definition_of(message_type)
-            definition = known.text if definition is None else definition
-            type_hash = known.type_hash if type_hash is None else type_hash
-        if schema_encoding is None:
-            schema_encoding = "ros2msg" if definition else ""
-        summary = metadata.Topic(name, message_type, type_hash, tuple(qos), 0, encoding)
-        self._topics[name] = _Registered(summary, definition.encode(), schema_encoding)
-        self._register(self._writer(), name)
+        known = definition_of(message_type)
+        topic = metadata.Topic(name, message_type, type_hash or known.type_hash, tuple(qos), 0)
+        self.register(topic, "ros2msg" if known.text else "", known.text.encode())
+
+    def register(self, topic: metadata.Topic, form: str, definition: bytes) -> None:
+        """Register a topic with its type's definition in that form, `ros2msg` or empty; again is ignored."""
+        if topic.name not in self._topics:
+            self._topics[topic.name] = topic
+            self._definitions.setdefault(topic.type, (form, definition))
+            self._register(self._writer(), topic)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None, sequence: int = 0) -> None:
         """Add one serialized message (CDR) to a topic; times in ns, by default sent when it was received.
@@ -242,16 +224,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._mcap.start("ros2", _LIBRARY)
         self._add_information(self._mcap)  # for readers of a file whose end is missing
         self._schemas = {}
-        for topic in self._topics:
+        for topic in self._topics.values():
             self._register(self._mcap, topic)
         return self._mcap
 
-    def _register(self, writer: Writer, name: str) -> None:
-        topic, summary = self._topics[name], self._topics[name].summary
-        if (kind := summary.type) not in self._schemas:
-            self._schemas[kind] = writer.register_schema(kind, topic.schema_encoding, topic.definition)
-        told = {"offered_qos_profiles": metadata.qos_text(summary.qos), "topic_type_hash": summary.type_hash}
-        self._channels[name] = writer.register_channel(name, summary.encoding, self._schemas[kind], told)
+    def _register(self, writer: Writer, topic: metadata.Topic) -> None:
+        if (kind := topic.type) not in self._schemas:
+            self._schemas[kind] = writer.register_schema(kind, *self._definitions[kind])
+        told = {"offered_qos_profiles": metadata.qos_text(topic.qos), "topic_type_hash": topic.type_hash}
+        self._channels[topic.name] = writer.register_channel(topic.name, topic.encoding, self._schemas[kind], told)
 
     def _is_full(self, file: _File, log_time: int) -> bool:
         summary = self.summaries[-1]
