@@ -65,13 +65,6 @@ def request_for(offered: Iterable[Qos]) -> Qos:
     )
 
 
-def compatible(request: Qos, offered: Qos) -> bool:
-    """Whether a publisher's messages reach a subscriber that asks for this."""
-    if request.reliability == "reliable" and offered.reliability != "reliable":
-        return False
-    return not request.latched or offered.latched
-
-
 SESSION, READING, LABELS = "session", "reading", "reading_labels"
 _TYPES = {topic.name: topic.type for topic in GRAPH_TOPICS if topic.name in (SESSION, READING)}
 

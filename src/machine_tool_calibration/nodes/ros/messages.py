@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -31,19 +31,14 @@ from machine_tool_calibration.recording.graph import MACHINE
 Message = TypeVar("Message", bound=Any)
 
 
-def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
-    )
-
-
-COMMAND = _reliable(10)
-STATE = _reliable(100)
-SLOW = _reliable(10)
-LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
-OUTCOMES = _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL)
+# All are reliable, which is the middleware's usual.
+COMMAND = QoSProfile(depth=10)
+STATE = QoSProfile(depth=100)
+SLOW = QoSProfile(depth=10)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+OUTCOMES = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # kept for those who come late: an estimator or recorder that (re)starts in the middle gets every reading
-READINGS = _reliable(20000, DurabilityPolicy.TRANSIENT_LOCAL)
+READINGS = QoSProfile(depth=20000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _GIGA = 1_000_000_000
 _DIGITS = 19  # of a time in ns

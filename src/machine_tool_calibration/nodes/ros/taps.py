@@ -16,7 +16,14 @@ from dataclasses import dataclass, field, replace
 
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
@@ -24,7 +31,7 @@ from rosgraph_msgs.msg import Clock
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import from_message
 from machine_tool_calibration.nodes.ros.sound import require_sound
-from machine_tool_calibration.recording.graph import compatible, request_for
+from machine_tool_calibration.recording.graph import request_for
 from machine_tool_calibration.recording.metadata import Qos
 
 _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others waiting
@@ -117,7 +124,8 @@ class Taps:
         tap.offered = offered
         tap.type_hash = str(found[0].topic_type_hash)
         best = request_for(offered)
-        unmatched = any(not compatible(tap.request, profile) for profile in offered)
+        asked = qos_profile(tap.request)
+        unmatched = any(qos_check_compatible(info.qos_profile, asked)[0] == QoSCompatibility.ERROR for info in found)
         # nothing came yet: ask again for what was latched; else only where a publisher cannot be heard
         if best != tap.request and (unmatched or (best.latched and not tap.messages)):
             self._hidden.destroy_subscription(tap.subscription)
@@ -211,7 +219,6 @@ def qos_profile(qos: Qos) -> QoSProfile:
     """The profile of a subscription or publisher that keeps its last messages; what is not known is the usual."""
     best_effort = qos.reliability == "best_effort"
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
         depth=qos.depth,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
