@@ -12,8 +12,8 @@ from machine_tool_calibration.procedure.events import (
     CaptureFailed,
     Motion,
     MovedAway,
+    Phase,
     Refused,
-    SetDatum,
     State,
     Stop,
     Timing,
@@ -278,7 +278,7 @@ def test_in_real_time_axes_that_stand_need_no_further_wait_for_the_pointer():
     handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
     assert handle(Arrived(motion.stamp, motion.stamp + SECOND, motion.stamp + SECOND, "a")) == []
     (request,) = handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp + 5 * SECOND))
-    assert isinstance(request, SetDatum)
+    assert request.phase is Phase.DATUM
 
 
 def test_commands_carry_times_for_a_real_controller():
@@ -297,7 +297,7 @@ def test_an_unsteady_path_is_given_time_and_then_up():
         handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
         handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp))
         (request,) = handle(Arrived(motion.stamp, motion.stamp + 1, motion.stamp + 2 * SECOND, "a"))
-        assert isinstance(request, SetDatum)
+        assert request.phase is Phase.DATUM
         world.clock += 2 * SECOND
         actions = handle(CaptureFailed(request.token, "unstable", "the path still changes"))
         if attempt < 3:
@@ -318,7 +318,7 @@ def test_three_dimensions_point_upwards():
     for wrong in ((azimuth, -elevation), (-azimuth, elevation), (azimuth, 0.0)):
         assert handle(Aimed("A", *wrong, motion.stamp)) == [], "it points elsewhere"
     (request,) = handle(Aimed("A", azimuth, elevation, motion.stamp))
-    assert isinstance(request, SetDatum)
+    assert request.phase is Phase.DATUM
 
 
 def jogged(stamp, times=1):

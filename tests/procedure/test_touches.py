@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.procedure import parse_procedure, plan, read_procedure
-from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, brake, check_command, move
+from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command, move
 from machine_tool_calibration.procedure.workpiece.description import read_workpiece
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -158,7 +158,7 @@ def test_braking_ends_on_the_path_in_the_time_the_limits_need(start, end, share)
     part = move(start, end, LIMITS)
     time = share * part.duration
     here, speed = part.position(time), part.velocity(time)
-    stop = brake(part, time, LIMITS)
+    stop = Trajectory(((0.0, part),), part.duration, part.duration).braked(time, LIMITS)
     assert stop.position(0.0) == pytest.approx(here)
     # A position near 1 is rounded by 1e-16; just after the start that is a speed of sqrt(2 acceleration 1e-16) = 5e-8.
     assert stop.velocity(0.0) == pytest.approx(speed, abs=1e-7)

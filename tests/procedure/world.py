@@ -15,13 +15,13 @@ from machine_tool_calibration.procedure.events import (
     Aim,
     Aimed,
     Arrived,
-    Capture,
+    Ask,
     Captured,
     CaptureFailed,
     DatumSet,
     Emit,
     Motion,
-    SetDatum,
+    Phase,
     State,
     Stop,
     Timing,
@@ -122,7 +122,7 @@ class World:
                     self.post("axes", action)
                 case Aim():
                     self.post("pointer", action)
-                case SetDatum() | Capture():
+                case Ask():
                     self.post("instrument", action)
                 case Emit():
                     self.emitted.append(action)
@@ -157,7 +157,7 @@ class World:
         self.post("instrument hears", ("beam", stamp, self.pointer))
         self.post("procedure", Aimed(aim.setup, float(azimuth[0]), 0.0, stamp))
 
-    def asked(self, request: SetDatum | Capture) -> None:
+    def asked(self, request: Ask) -> None:
         if "axes" not in self.heard or "beam" not in self.heard:
             self.post("procedure", CaptureFailed(request.token, "other", "nothing is known yet"))
             return
@@ -167,7 +167,7 @@ class World:
             return  # waits; the procedure asks again
         reading = self.path(setup, place)
         window = {"start": held - SECOND // 10, "inputs": {"functional_point": held, "beam": stamp}}
-        if isinstance(request, SetDatum):
+        if request.phase is Phase.DATUM:
             self.datums += 1
             self.datum, self.zero = f"{self.epochs['instrument']}-{self.datums}", reading
             self.post("procedure", DatumSet(request.token, self.datum, **window))

@@ -27,7 +27,7 @@ from machine_tool_calibration.nodes.ros import messages
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import goal_of, offer
 from machine_tool_calibration.procedure import events, plan, read_procedure
-from machine_tool_calibration.procedure.events import State, Timing
+from machine_tool_calibration.procedure.events import Phase, State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 
@@ -274,10 +274,8 @@ class ProcedureNode(ManagedNode):
                 case events.Aim():
                     self._pointer.publish(target_message(action, self._setups))
                     self._point.publish(messages.dated(PointStamped(point=messages.point(action.point)), action.stamp))
-                case events.SetDatum():
-                    self._call(self._datum, action.token)
-                case events.Capture():
-                    self._call(self._capture, action.token)
+                case events.Ask():
+                    self._call(self._datum if action.phase is Phase.DATUM else self._capture, action.token)
                 case events.Emit():
                     self._readings.publish(messages.joint_state(action.stamp, action.columns))
         if self.sequencer.state is not state or state is not State.RUNNING:

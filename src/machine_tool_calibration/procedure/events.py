@@ -213,17 +213,11 @@ class Aim:
 
 
 @dataclass(frozen=True)
-class SetDatum:
-    """Make the present path zero."""
+class Ask:
+    """Ask the instrument to make the present path zero (`Phase.DATUM`), or to take a reading (`Phase.CAPTURE`)."""
 
     token: int
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Take a reading."""
-
-    token: int
+    phase: Phase
 
 
 @dataclass(frozen=True)
@@ -235,4 +229,4 @@ class Emit:
 
 
 Event = Arrived | MovedAway | Refused | Aimed | Captured | CaptureFailed | DatumSet
-Action = Motion | Stop | Aim | SetDatum | Capture | Emit
+Action = Motion | Stop | Aim | Ask | Emit

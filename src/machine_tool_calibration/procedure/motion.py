@@ -83,17 +83,6 @@ def move(
     return Move(dict(start), dict(end), shortest, ramp)
 
 
-def brake(current: Move, time: float, limits: Mapping[str, AxisLimits]) -> Move:
-    """The move that stops on the path as soon as the axes' accelerations allow, from a time since its start on, s."""
-    here, velocity = current.position(time), current.velocity(time)
-    needed = [abs(rate) / limits[name].acceleration for name, rate in velocity.items() if abs(rate) > _NO_TRAVEL]
-    if not needed:
-        return Move(here, here, 0.0, 0.0)
-    duration = max(needed)
-    end = {name: here[name] + 0.5 * rate * duration for name, rate in velocity.items()}
-    return Move(here, end, duration, duration, 2.0 / duration)
-
-
 _SAME_TIME = 1e-12  # s; two ends closer than this are one
 
 
@@ -162,9 +151,14 @@ class Trajectory:
         return signs
 
     def braked(self, time: float, limits: Mapping[str, AxisLimits]) -> Move:
-        """The move that stops the axes from a time on."""
-        since, part = self._at(time)
-        return brake(part, since, limits)
+        """The move that stops on the path as soon as the axes' accelerations allow, from a time since the start on, s."""
+        here, velocity = self.position(time), self.velocity(time)
+        needed = [abs(rate) / limits[name].acceleration for name, rate in velocity.items() if abs(rate) > _NO_TRAVEL]
+        if not needed:
+            return Move(here, here, 0.0, 0.0)
+        duration = max(needed)
+        end = {name: here[name] + 0.5 * rate * duration for name, rate in velocity.items()}
+        return Move(here, end, duration, duration, 2.0 / duration)
 
 
 def check_command(

@@ -291,7 +291,7 @@ class Sequencer:
             if phase is Phase.DATUM:
                 pending.zeroing = self._token
         pending.phase, pending.sent = phase, wall
-        return [events.SetDatum(self._token) if phase is Phase.DATUM else events.Capture(self._token)]
+        return [events.Ask(self._token, phase)]
 
     def _datum_set(self, event: events.DatumSet, now: int, wall: float) -> list[events.Action]:
         pending = self._pending
