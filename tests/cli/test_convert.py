@@ -96,7 +96,7 @@ def test_a_table_becomes_a_recording_or_a_table(verb: Verb, tmp_path: Path) -> N
         ([], 1, "with --table points, ranges, iso230-2, circles or readings, or with --mapping"),
         (["--unit", "mm"], 2, "need --table or --mapping"),
         (["--table", "points"], 1, "no column is named for x"),
-        (["--table", "points", "--column", "x"], 2, "--column 'x' is not of the form NAME=…"),
+        (["--table", "points", "--column", "x"], 2, "'--column': 'x' is not of the form NAME=…"),
         (["--table", "points", "--unit", "furlong"], 1, "unknown unit 'furlong'"),
         (["--mapping", "none.yaml"], 1, "none.yaml: no such file"),
     ],

@@ -158,7 +158,7 @@ def test_every_verb_of_a_session_refuses_the_same(name: str, words: list[object]
         (["features", PLANE], 1, "this session is of the method tracking_interferometer"),
         (["features", CROSS, "--distance", "sphere1"], 2, "'sphere1' is not 2 names with commas between them"),
         (["features", CROSS, "--angle", "a,,b"], 2, "'a,,b' is not 2 or 3 names with commas between them"),
-        (["features", CROSS, "--through", "sphere*"], 2, "'sphere*' is not NAME=A,B,…"),
+        (["features", CROSS, "--through", "sphere*"], 2, "'sphere*' is not of the form NAME=A,B,…"),
         (["plan", "pointer_centre"], 1, "no errors of the machine come out of it"),
     ],
 )

@@ -17,7 +17,7 @@ import yaml
 from machine_tool_calibration.cli import shared
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import Part, TextTable, show
+from machine_tool_calibration.reports.tables import Part, TextTable
 
 if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
@@ -40,26 +40,19 @@ def _preview_document(imported: Imported) -> dict[str, Any]:
     }
 
 
-def _show_preview(imported: Imported, *, whole: bool) -> None:
-    """Print remarks, and where the whole is wanted what was read, the first readings and the text of session.yaml."""
+def _preview_parts(imported: Imported) -> Iterator[Part]:
+    """The preview for people: what was read, the first readings and the text of session.yaml."""
     from machine_tool_calibration.session.folder import readings_frame
     from machine_tool_calibration.session.parse import description_yaml
 
     session = imported.session
-    if whole:
-        read = tuple((role, *column_and_unit) for role, column_and_unit in imported.columns.items())
-        frame = readings_frame(session).head(_FIRST)
-        rows = tuple(tuple(_shown(value) for value in row) for row in frame.itertuples(index=False))
-        parts: list[Part] = [
-            f"{session.source}: {imported.rows} rows, {len(session.readings)} readings",
-            TextTable("", ("quantity", "column", "unit"), read),
-            TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows),
-            f"session.yaml:\n{description_yaml(session.description).rstrip()}",
-        ]
-        show(shared.console(), parts)
-        _note_read_off(session)
-    for text in imported.notes:
-        shared.note(text)
+    yield f"{session.source}: {imported.rows} rows, {len(session.readings)} readings"
+    read = tuple((role, *column_and_unit) for role, column_and_unit in imported.columns.items())
+    yield TextTable("", ("quantity", "column", "unit"), read)
+    frame = readings_frame(session).head(_FIRST)
+    rows = tuple(tuple(_shown(value) for value in row) for row in frame.itertuples(index=False))
+    yield TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows)
+    yield f"session.yaml:\n{description_yaml(session.description).rstrip()}"
 
 
 def _note_read_off(session: Session) -> None:
@@ -84,7 +77,7 @@ _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
 """Options of how the text of a table is written, but for those that are given in other words."""
 
-_KINDS = {"file": shared.FILE, "count": click.IntRange(min=0)}
+_KINDS = {"file": shared.FILE, "count": click.IntRange(min=0), "pair": shared.Pair()}
 
 
 def _declared() -> Iterator[Callable[[Any], Any]]:
@@ -109,7 +102,7 @@ def _file_form(given: dict[str, Any]) -> dict[str, Any]:
 def _mapping_from(given: dict[str, Any], description: Path | None = None) -> tuple[dict[str, Any], str]:
     """The content of a mapping, and its name for messages: the file, with a session.yaml and the options over it.
 
-    A UsageError if an option is not of its form; a CalibrationError if the file cannot be read.
+    A CalibrationError if the file cannot be read.
     """
     from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
     from machine_tool_calibration.session.text import read_yaml
@@ -118,7 +111,7 @@ def _mapping_from(given: dict[str, Any], description: Path | None = None) -> tup
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
     content.setdefault("format", FORMAT)
     for key in ("columns", "extras", "values", "origin", "stations", "targets"):
-        _update(content, key, _pairs(key, given[key]), path)
+        _update(content, key, dict(given[key]), path)
     _update(content, "units", _units(given["units"]), path)
     _update(content, "file", _file_form(given), path)
     content |= {key: given[key] for key in ("table", "sign", "axis", "senses") if given[key]}
@@ -157,16 +150,6 @@ def _update(content: dict[str, Any], key: str, more: dict[str, Any], path: Path 
         more = {**more, "machine": {**before["machine"], **more["machine"]}}
     if before or more:
         content[key] = {**before, **more}
-
-
-def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
-    out = {}
-    for text in texts:
-        name, mark, value = text.partition("=")
-        if not mark or not name.strip() or not value.strip():
-            raise click.UsageError(f"--{option.rstrip('s')} {text!r} is not of the form NAME=…")
-        out[name.strip()] = value.strip()
-    return out
 
 
 def _units(texts: Sequence[str]) -> dict[str, str]:
@@ -267,13 +250,16 @@ def command(
     from_session = imported is None and own is None and is_session_folder(source)
     if form is None:
         form = _form(target, "bag" if from_session else "session")
+    head: dict[str, Any] = {"format": "mtcal-converted/1", "source": source}
     if imported is not None:
         preview = _preview_document(imported)
-        if not as_json:
-            _show_preview(imported, whole=dry_run)
+        if dry_run:
+            shared.tell_either({**head, "to": None, **preview}, _preview_parts(imported), as_json)
+        if dry_run and not as_json:
+            _note_read_off(imported.session)
+        for text in () if as_json else imported.notes:
+            shared.note(text)
         if dry_run or target is None:
-            if as_json:
-                shared.write_json({"format": "mtcal-converted/1", "source": source, "to": None, **preview})
             return
         document = {**_written(imported.session, target, form, start, namespace), **preview}
     elif dry_run or target is None:
@@ -285,12 +271,9 @@ def command(
         if foreign["trust_units"]:
             session = session.trusted
         document = _written(session, target, form, start, namespace)
-    if as_json:
-        shared.write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
-    else:
-        read = f": {document['readings']} readings" if "readings" in document else ""
-        of_topics = [f"  {topic}: {at}" for topic, at in document.get("topics", {}).items()]
-        show(shared.console(), [f"{target}{read}", *of_topics])
+    read = f": {document['readings']} readings" if "readings" in document else ""
+    of_topics = [f"  {topic}: {at}" for topic, at in document.get("topics", {}).items()]
+    shared.tell_either({**head, "target": target, "to": form, **document}, [f"{target}{read}", *of_topics], as_json)
     for topic in document.get("skipped", ()):
         shared.note(f"{topic} was left out: its messages have a type that cannot be read")
 

@@ -29,17 +29,6 @@ def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]
     return split
 
 
-def _through(context: click.Context, parameter: click.Parameter, value: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Names by the name of the feature that goes through them."""
-    out = {}
-    for one in value:
-        name, _, names = one.partition("=")
-        if not name.strip() or not names.strip():
-            raise click.BadParameter(f"{one!r} is not NAME=A,B,…", context, parameter)
-        out[name.strip()] = tuple(part.strip() for part in names.split(","))
-    return out
-
-
 @click.command("features")
 @click.argument("session", type=shared.PATH)
 @click.option(
@@ -50,7 +39,7 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 )
 @click.option(
     "--through",
-    callback=_through,
+    type=shared.Pair("NAME=A,B,…"),
     metavar="NAME=A,B,…",
     multiple=True,
     help="Circle or line through centres, such as pitch=pin*; repeatable.",
@@ -85,7 +74,7 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 def command(
     session: Path,
     listed: Path | None,
-    through: dict[str, tuple[str, ...]],
+    through: tuple[tuple[str, str], ...],
     draws: int,
     seed: int,
     wanted: Wanted,
@@ -108,9 +97,10 @@ def command(
     from machine_tool_calibration.session.parse import read_feature_points
 
     named = None if listed is None else read_feature_points(listed)
+    centres = {name: tuple(map(str.strip, names.split(","))) for name, names in through}
     with shared.progress_bar() as progress:
         fit = wanted.fit([session], progress)
-        answer = fit.features(named=named, centres=through, draws=draws, seed=seed, **asked)
+        answer = fit.features(named=named, centres=centres, draws=draws, seed=seed, **asked)
     shared.save_picture(answer.plot, plot, answer.origin)
     shared.tell(answer, as_json)
     if bad := bad_fit(fit.result.joint, fit.result.error_map.content):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.shared import PATH, json_option, tell_either
+from machine_tool_calibration.cli.shared import PATH, Pair, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError, RecordingError, SessionError
 from machine_tool_calibration.reports.tables import Part
 
@@ -19,20 +19,11 @@ if TYPE_CHECKING:
     from machine_tool_calibration.recording.reader import BagReader
 
 
-def _topic_names(_: click.Context, __: click.Parameter, said: tuple[str, ...]) -> dict[str, str]:
-    names = {}
-    for option in said:
-        role, equals, name = option.partition("=")
-        if not equals or not name:
-            raise click.UsageError(f"--topic {option}: write ROLE=NAME, such as reading=/cell/reading")
-        names[role] = name
-    return names
-
-
 topic_option = click.option(
     "--topic",
     "topics",
-    callback=_topic_names,
+    type=Pair("ROLE=NAME, such as reading=/cell/reading"),
+    callback=lambda _, __, said: dict(said),
     multiple=True,
     metavar="ROLE=NAME",
     help="Topic in a recording that holds the role `session` or `reading`, where it has another name.",

@@ -109,11 +109,10 @@ def command(
     parts: list[Part] = list(measured.remarks)
     if wanted is not None and not as_json:
         chosen = FitRequest((measured.session,), None, setting.model or None, setting.effects, tuple(own_effects(())))
-        parts += known_after(chosen, wanted, measured.reached, measured.session_folder or folder)
+        parts += known_after(chosen, wanted, measured.reached, measured.session_folder)
     parts += [result_table(measured), files_table(measured)]
-    if measured.session_folder is not None:
-        verbs = ("align-pointer",) if aligns else ("identify", "diagnose")
-        parts.append(f"next: {', '.join(f'mtcal {verb} {measured.session_folder}' for verb in verbs)}")
+    verbs = ("align-pointer",) if aligns else ("identify", "diagnose")
+    parts.append(f"next: {', '.join(f'mtcal {verb} {measured.session_folder}' for verb in verbs)}")
     tell_either(_document(measured, reaches=wanted is not None), parts, as_json)
 
 

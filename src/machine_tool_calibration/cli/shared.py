@@ -103,6 +103,22 @@ class RosName(click.ParamType):  # type: ignore[type-arg]
         return value
 
 
+class Pair(click.ParamType):  # type: ignore[type-arg]
+    """A name and what stands for it, with `=` between them."""
+
+    name = "pair"
+
+    def __init__(self, form: str = "NAME=…") -> None:
+        self.form = form
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Both, without blanks around them."""
+        name, _, said = map(str.strip, value.partition("="))
+        if not name or not said:
+            self.fail(f"{value!r} is not of the form {self.form}", param, ctx)
+        return name, said
+
+
 def session_labels(paths: Sequence[Path]) -> list[str]:
     """Names of several sessions: those of their folders, numbered where they repeat."""
     from machine_tool_calibration.session.session import distinct_labels, measurement_name

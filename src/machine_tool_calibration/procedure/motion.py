@@ -151,7 +151,7 @@ class Trajectory:
         return signs
 
     def braked(self, time: float, limits: Mapping[str, AxisLimits]) -> Move:
-        """The move that stops on the path as soon as the axes' accelerations allow, from a time since the start on, s."""
+        """The move that stops on the path as soon as the axes' accelerations allow, from a time on, s."""
         here, velocity = self.position(time), self.velocity(time)
         needed = [abs(rate) / limits[name].acceleration for name, rate in velocity.items() if abs(rate) > _NO_TRAVEL]
         if not needed:
