@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole story: a simulated machine hides an effect; it is measured, found out, and the error falls."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,19 +138,6 @@ _HIDDEN = {
 _PROCEDURES = {"probing": "probing_cross", "direct": "direct_iso230_2"}
 
 
-@dataclass(frozen=True)
-class _Demonstration:
-    """What came of the demonstration."""
-
-    seed: int  # repeats it
-    hidden: FlawSpec | None  # effect and its size; None if nothing was hidden
-    measured: Measured  # the measurement, with the first model's result
-    improvement: Improvement  # the loop
-    before: MapError  # the first model's map against the truth
-    after: MapError  # the last model's
-    pictures: list[Path]  # files
-
-
 @click.command("demo")
 @click.option(
     "--method",
@@ -196,8 +183,27 @@ def command(
         pictures = [*save(drawn, folder, final.provenance), *save_improvement(improvement, folder)]
         assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
         before, after = error_against_truth(measured, first), error_against_truth(measured, final)
-    story = _Demonstration(number, hidden, measured, improvement, before, after, pictures)
-    tell_either(_document(story), _parts(story), as_json)
+    document = {
+        "format": "mtcal-demo/1",
+        "seed": number,
+        "output": measured.output,
+        "session": measured.session_folder,
+        "bag": measured.bag,
+        "pictures": pictures,
+        "seconds": measured.seconds[0],
+        "readings": len(measured.session.readings),
+        "verdict": improvement.diagnosis.verdict,
+        "found": improvement.accepted,
+        "hidden": hidden.id if hidden else None,
+        "hidden_size": hidden.size if hidden else None,
+        "map_error_rms_before": before.rms,
+        "map_error_rms": after.rms,
+        "map_error_largest": after.largest,
+        "machine_error_rms": before.before,
+        "result": measured.result,
+        "improved": final.document(),
+    }
+    tell_either(document, _parts(document, measured, improvement), as_json)
 
 
 def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
@@ -214,67 +220,41 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
     return FlawSpec(id=wanted or name, size=low + share * (high - low))
 
 
-def _parts(story: _Demonstration) -> Iterator[Part]:
-    measured = story.measured
+def _parts(told: Mapping[str, Any], measured: Measured, improvement: Improvement) -> Iterator[Part]:
     yield (
-        f"1. Measured: a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
+        f"1. Measured: a simulated machine (seed {told['seed']}), {measured.session.method.replace('_', ' ')}, "
         f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:"
     )
     yield result_table(measured)
     yield "2. Diagnosed and improved"
-    yield from improvement_parts(story.improvement)
+    yield from improvement_parts(improvement)
     yield "3. The truth, which nothing before has seen"
-    yield _truth_in_words(story)
-    yield _error_in_words(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
-    yield files_table(measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
+    yield _truth_in_words(told, improvement)
+    yield _error_in_words(told, measured.session, improvement.steps[-1].map_uncertainty)
+    yield files_table(measured, [("picture" if p.suffix == ".png" else "table", p) for p in told["pictures"]])
 
 
-def _error_in_words(session: Session, before: MapError, after: MapError, u: float | None) -> str:
+def _error_in_words(told: Mapping[str, Any], session: Session, u: float | None) -> str:
     direct = spec_of(session).reads_machine
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
     known = u is not None and not direct
     expected = f" The last model's own uncertainty says {quantity(u or 0.0, 'm')} RMS (k = 1)." if known else ""
+    keys = ("map_error_rms_before", "map_error_rms", "machine_error_rms")
+    before, after, size = (quantity(told[key], "m") for key in keys)
     return (
-        f"The {COMPARED[session.method]} is off the truth by {quantity(before.rms, 'm')} RMS with the first model and "
-        f"by {quantity(after.rms, 'm')} with the last ({out} taken out); {own} are {quantity(before.before, 'm')} RMS."
-        f"{expected}"
+        f"The {COMPARED[session.method]} is off the truth by {before} RMS with the first model and "
+        f"by {after} with the last ({out} taken out); {own} are {size} RMS.{expected}"
     )
 
 
-def _truth_in_words(story: _Demonstration) -> str:
-    found = story.improvement.accepted
-    if story.hidden is None:
+def _truth_in_words(told: Mapping[str, Any], improvement: Improvement) -> str:
+    found, hidden = improvement.accepted, told["hidden"]
+    if hidden is None:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
-    hidden, groups = story.hidden, story.improvement.diagnosis.search.groups
-    size = "as it usually is" if hidden.size is None else quantity(hidden.size, find_flaw(hidden.id).unit)
-    said = f"Hidden was {hidden.id}, of size {size}."
-    if hidden.id in found:
+    said = f"Hidden was {hidden}, of size {quantity(told['hidden_size'], find_flaw(hidden).unit)}."
+    if hidden in found:
         return f"{said} It was found."
-    if any(hidden.id in group and set(group) & set(found) for group in groups):
+    if any(hidden in group and set(group) & set(found) for group in improvement.diagnosis.search.groups):
         return f"{said} Found was {', '.join(found)}, which this measurement cannot distinguish from it."
     return f"{said} It was not found."
-
-
-def _document(story: _Demonstration) -> dict[str, Any]:
-    measured = story.measured
-    return {
-        "format": "mtcal-demo/1",
-        "seed": story.seed,
-        "output": measured.output,
-        "session": measured.session_folder,
-        "bag": measured.bag,
-        "pictures": story.pictures,
-        "seconds": measured.seconds[0],
-        "readings": len(measured.session.readings),
-        "verdict": story.improvement.diagnosis.verdict,
-        "found": story.improvement.accepted,
-        "hidden": story.hidden.id if story.hidden else None,
-        "hidden_size": story.hidden.size if story.hidden else None,
-        "map_error_rms_before": story.before.rms,
-        "map_error_rms": story.after.rms,
-        "map_error_largest": story.after.largest,
-        "machine_error_rms": story.before.before,
-        "result": measured.result,
-        "improved": story.improvement.steps[-1].result.document(),
-    }
