@@ -25,7 +25,7 @@ from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import LATCHED as LATCHED_QOS
 from machine_tool_calibration.nodes.ros.messages import from_message
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
-from machine_tool_calibration.recording.metadata import LATCHED, RELIABLE
+from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.session_bag import session_to_bag
 from machine_tool_calibration.recording.writer import BagWriter
@@ -56,7 +56,7 @@ def ticks(path: Path, count: int = 20, step: int = 50_000_000) -> Path:
     """A bag with one volatile topic, evenly in time, and a latched text at its beginning."""
     with BagWriter(path) as bag:
         bag.add_topic("/session", TEXT, qos=[LATCHED])
-        bag.add_topic("/joint_states", JOINT_STATE, qos=[RELIABLE])
+        bag.add_topic("/joint_states", JOINT_STATE, qos=[Qos()])
         bag.write("/session", encode(TEXT, "latched"), START)
         for k in range(count):
             at = START + k * step

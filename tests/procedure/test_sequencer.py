@@ -263,7 +263,7 @@ def test_a_slow_pointer_makes_the_axes_wait():
     (motion, _aim) = world.sequencer.start(world.clock, world.wall)
     handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
     assert handle(Arrived(motion.stamp, motion.stamp + SECOND, motion.stamp + 2 * SECOND, "a")) == []
-    azimuth, elevation = world.sequencer._pending.angles
+    azimuth, elevation = world.sequencer.pending.angles
     late = motion.stamp + 5 * SECOND
     (hold, _again) = handle(Aimed("A", azimuth, elevation, late))
     assert isinstance(hold, Motion)
@@ -277,7 +277,7 @@ def test_in_real_time_axes_that_stand_need_no_further_wait_for_the_pointer():
     (motion, _aim) = world.sequencer.start(world.clock, world.wall)
     handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
     assert handle(Arrived(motion.stamp, motion.stamp + SECOND, motion.stamp + SECOND, "a")) == []
-    (request,) = handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp + 5 * SECOND))
+    (request,) = handle(Aimed("A", *world.sequencer.pending.angles, motion.stamp + 5 * SECOND))
     assert request.phase is Phase.DATUM
 
 
@@ -295,7 +295,7 @@ def test_an_unsteady_path_is_given_time_and_then_up():
     (motion, _aim) = world.sequencer.start(world.clock, world.wall)
     for attempt in range(4):
         handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
-        handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp))
+        handle(Aimed("A", *world.sequencer.pending.angles, motion.stamp))
         (request,) = handle(Arrived(motion.stamp, motion.stamp + 1, motion.stamp + 2 * SECOND, "a"))
         assert request.phase is Phase.DATUM
         world.clock += 2 * SECOND
@@ -310,7 +310,7 @@ def test_three_dimensions_point_upwards():
     text = TEXT.replace("dimension: 2", "dimension: 3").replace("y: [0.1, 0.2]}", "y: [0.1], z: [0.05]}")
     world = World(small(text))
     (motion, _aim) = world.sequencer.start(world.clock, world.wall)
-    azimuth, elevation = world.sequencer._pending.angles
+    azimuth, elevation = world.sequencer.pending.angles
     assert elevation == pytest.approx(math.atan2(0.05, math.hypot(0.35, 0.05)))
     assert azimuth == pytest.approx(math.atan2(0.05, 0.35))
     handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
@@ -366,7 +366,7 @@ def test_a_start_after_an_abort_counts_unsteady_readings_anew():
         (motion, _aim), count = world.sequencer.start(world.clock, world.wall), 0
         while world.sequencer.state is State.RUNNING:
             handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
-            handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp))
+            handle(Aimed("A", *world.sequencer.pending.angles, motion.stamp))
             (request,) = handle(Arrived(motion.stamp, motion.stamp + 1, motion.stamp + 2 * SECOND, "a"))
             world.clock += 2 * SECOND
             motion, *_ = [*handle(CaptureFailed(request.token, "unstable", "the path still changes")), None]

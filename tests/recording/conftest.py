@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS, TEXT, encode, encode_joint_state, part
-from machine_tool_calibration.recording.metadata import LATCHED, RELIABLE
+from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.writer import BagWriter
 
 START = 1_700_000_000_000_000_000
@@ -29,8 +29,8 @@ def small_bag(tmp_path: Path) -> Callable[..., Path]:
         rng = np.random.default_rng(5)
         with BagWriter(path, **options) as bag:  # type: ignore[arg-type]
             bag.add_topic("/text", TEXT, qos=[LATCHED])
-            bag.add_topic("/cell/joint_states", JOINT_STATE, qos=[RELIABLE, LATCHED])
-            bag.add_topic("/instrument/displacement", NUMBERS, qos=[RELIABLE])
+            bag.add_topic("/cell/joint_states", JOINT_STATE, qos=[Qos(), LATCHED])
+            bag.add_topic("/instrument/displacement", NUMBERS, qos=[Qos()])
             bag.add_topic("/empty", "diagnostic_msgs/msg/DiagnosticArray")
             bag.write("/text", encode(TEXT, "héllo"), START, START - 5, 7)
             for i in range(messages):

@@ -7,7 +7,6 @@ it jumps to the end of each commanded trajectory, so a measurement runs as fast 
 """
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Quaternion
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -56,9 +55,8 @@ class AxisSimulator(ManagedNode):
         self._random = np.random.default_rng([self.site.spec.seed, 23])
 
         self._states = self.create_publisher(JointState, "joint_states", messages.STATE)
-        told = self.create_publisher(DiagnosticArray, "axes/status", messages.STATE)
-        hardware = f"simulated machine {self.site.machine.chain}"
-        self._status = messages.StatusTopic(self, "axes", publisher=told, hardware_id=hardware, clock=self._now)
+        told = {"topic": "axes/status", "hardware_id": f"simulated machine {self.site.machine.chain}"}
+        self._status = messages.StatusTopic(self, "axes", **told, qos=messages.STATE, clock=self._now)
         self._executed = self.create_publisher(JointTrajectory, "axes/executed", messages.STATE)
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", messages.STATE)
         self._table = self.create_publisher(PoseStamped, "truth/table", messages.STATE)

@@ -193,32 +193,6 @@ TOPICS: Mapping[str, Any] = {
 """Type of what is published on each topic; all are latched."""
 
 
-def map_messages(stamp: int, result: Result, magnification: float) -> dict[str, Any]:
-    """An error map in all its forms, and the residuals, by topic; `magnification` of the arrows, 0: a round one."""
-    found = result.error_map
-    columns = np.hstack([found.points, found.error, found.uncertainty]).T
-    return {
-        "error_map": cloud(stamp, dict(zip(FIELDS, columns, strict=True))),
-        "error_map/axes": axis_cloud(stamp, result),
-        "error_map/arrows": arrows(stamp, found, magnification),
-        "residuals": cloud(stamp, _residual_fields(result)),
-    }
-
-
-def _residual_fields(result: Result) -> dict[str, Array]:
-    readings = result.fit.model.observations.readings
-    position = readings.position()
-    return {
-        **{axis: position[:, index] for index, axis in enumerate("xyz")},
-        "measured": readings.displacement,
-        "predicted": result.fit.predicted,
-        "residual": result.fit.residuals,
-        "row": readings.row.astype(float),
-        "setup": readings.setup.astype(float),
-        "repeat": readings.repeat.astype(float),
-    }
-
-
 @dataclass(frozen=True)
 class Request:
     """What to calculate from."""
@@ -310,8 +284,30 @@ def improved(request: Request, progress: Progress) -> Outcome:
 
 
 def _map(request: Request, result: Result) -> dict[str, Any]:
-    messages = map_messages(request.now(), result, request.magnification)
-    return {**messages, "error_map/result": _text(result.document())}
+    """An error map in all its forms, and the residuals, by topic."""
+    found, stamp = result.error_map, request.now()
+    columns = np.hstack([found.points, found.error, found.uncertainty]).T
+    return {
+        "error_map": cloud(stamp, dict(zip(FIELDS, columns, strict=True))),
+        "error_map/axes": axis_cloud(stamp, result),
+        "error_map/arrows": arrows(stamp, found, request.magnification),
+        "error_map/result": _text(result.document()),
+        "residuals": cloud(stamp, _residual_fields(result)),
+    }
+
+
+def _residual_fields(result: Result) -> dict[str, Array]:
+    readings = result.fit.model.observations.readings
+    position = readings.position()
+    return {
+        **{axis: position[:, index] for index, axis in enumerate("xyz")},
+        "measured": readings.displacement,
+        "predicted": result.fit.predicted,
+        "residual": result.fit.residuals,
+        "row": readings.row.astype(float),
+        "setup": readings.setup.astype(float),
+        "repeat": readings.repeat.astype(float),
+    }
 
 
 def _diagnosis(request: Request, found: Diagnosis, then: Conclusions) -> tuple[str, Mapping[str, Any], dict[str, Any]]:

@@ -119,9 +119,9 @@ class Graph:
     def ended(self) -> dict[str, str]:
         """Nodes that have ended by themselves, with their status and the last line of their log."""
         return {
-            name: f"{name} {_ending(process.returncode)}{self._last_line(name)}"
+            name: f"{name} {_ending(status)}{self._last_line(name)}"
             for name, process in self._running.items()
-            if process.poll() is not None
+            if (status := process.poll()) is not None
         }
 
     def check(self) -> None:

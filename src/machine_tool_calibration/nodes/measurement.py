@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
@@ -26,7 +25,7 @@ from machine_tool_calibration.methods.build import model_of
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, StatusTopic
+from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic
 from machine_tool_calibration.nodes.ros.node import OF_ROS, parameters_of
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
@@ -164,7 +163,10 @@ def measure(
         listeners = _Listeners(graph, output, tell)
         with Client(domain, graph.namespace, watch=listeners.watch) as client:
             _refuse_company(client, list(nodes), domain)
-            _write_inputs(setting, file, procedure)
+            output.mkdir(parents=True, exist_ok=True)
+            copy, site = _inputs(output)
+            shutil.copyfile(file, copy)
+            site.write_text(yaml_text(site_document(procedure, setting.site)), encoding="utf-8")
             progress("starting the nodes", 0, total)
             with graph, _keeping(client, listeners, output, total):
                 _await_ready(client, list(nodes))
@@ -250,13 +252,6 @@ def _inputs(output: Path) -> tuple[Path, Path]:
     return output / "procedure.yaml", output / "site.yaml"
 
 
-def _write_inputs(setting: Setting, file: Path, procedure: Procedure) -> None:
-    setting.output.mkdir(parents=True, exist_ok=True)
-    copy, site = _inputs(setting.output)
-    shutil.copyfile(file, copy)
-    site.write_text(yaml_text(site_document(procedure, setting.site)), encoding="utf-8")
-
-
 def _nodes(setting: Setting, procedure: Procedure) -> dict[str, dict[str, Any]]:
     """Parameters of the nodes to be started."""
     copy, site = _inputs(setting.output)
@@ -337,8 +332,7 @@ class Stages:
         if until.u is not None:  # all that the whole procedure determines
             self._wanted = determined(FitRequest((planned_session(procedure).session,), None, self._model))
         self.reached: list[Reached] = []  # after each stage so far
-        publisher = client.node.create_publisher(DiagnosticArray, "until/status", LATCHED)
-        self._status = StatusTopic(client.node, "until", publisher=publisher)
+        self._status = StatusTopic(client.node, "until", topic="until/status")
 
     def next(self, progress: Counting) -> None:
         """Ask for the next stage, or for the end; a person who brings the instrument to another setup resumes."""

@@ -41,7 +41,8 @@ class _Cycle:
 
     touch: NominalTouch  # as planned
     position: dict[str, float]  # where it began, by axis
-    command: JointTrajectory  # to the axes; its stamp names it
+    command: JointTrajectory  # to the axes
+    stamp: int  # of the command, which it names, ns
     epoch: str  # of the axes as it began; empty if it is not known
     sent: float  # when the command was sent last, s of a clock that only goes on
     displacement: float  # where the probe triggers, m; NaN where it does not
@@ -73,8 +74,7 @@ class Probe(ManagedNode):
         self._random = np.random.default_rng([self._site.spec.seed, 43])
 
         # it stands in the instrument's place, whatever its own name is
-        told = self.create_publisher(DiagnosticArray, "instrument/status", messages.LATCHED)
-        self._status = messages.StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
+        self._status = messages.StatusTopic(self, "probe", topic="instrument/status", hardware_id="simulated probe")
         self._triggers = self.create_publisher(JointState, "~/trigger", messages.STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", messages.COMMAND)
         self._environment = EnvironmentTopics(self, self._sensed)
@@ -117,7 +117,7 @@ class Probe(ManagedNode):
 
     def _axes_status(self, message: DiagnosticArray) -> None:
         entries, cycle = messages.values(message), self._cycle
-        if entries.get("state") == "refused" and cycle and messages.stamp_among(entries, "command") == _stamp(cycle):
+        if entries.get("state") == "refused" and cycle and messages.stamp_among(entries, "command") == cycle.stamp:
             self._cycle = None
             self._refuse(f"axes: {message.status[0].message}")
 
@@ -129,7 +129,7 @@ class Probe(ManagedNode):
         self._epoch, self._told = executed.epoch, executed.command
         if cycle is None:
             return
-        if executed.command == _stamp(cycle):
+        if executed.command == cycle.stamp:
             if len(executed.reached) == _WAY:
                 self._floor = max(self._floor, held)
                 self._finish(cycle, held)
@@ -185,8 +185,8 @@ class Probe(ManagedNode):
         command = self._floor = max(begin, self._floor + 1) | 1  # odd, as a procedure's are even
         deepest = {**position, **touch.at(turn)}
         way = messages.trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
-        sent = monotonic()
-        self._cycle = _Cycle(touch, position, way, self._epoch, sent, displacement, problem, attempt, begin, moment)
+        sent = way, command, self._epoch, monotonic()
+        self._cycle = _Cycle(touch, position, *sent, displacement, problem, attempt, begin, moment)
         self._commands.publish(way)
 
     def _finish(self, cycle: _Cycle, held: int) -> None:
@@ -237,7 +237,7 @@ class Probe(ManagedNode):
     def _check(self) -> None:
         self._show()
         cycle, present = self._cycle, monotonic()
-        if cycle is not None and self._told != _stamp(cycle) and present > cycle.sent + _AGAIN:
+        if cycle is not None and self._told != cycle.stamp and present > cycle.sent + _AGAIN:
             # Axes and probe find each other at different times: what was sent before the axes listen is lost.
             cycle.sent = present
             self._commands.publish(cycle.command)
@@ -258,7 +258,3 @@ class Probe(ManagedNode):
         level = messages.Level.WARN if problem or self._last else messages.Level.OK
         state = "no signal" if problem else "measuring"
         self._status.show(level, text, {"state": state, "datum": "", **counters})
-
-
-def _stamp(cycle: _Cycle) -> int:
-    return messages.from_message(cycle.command.header.stamp)

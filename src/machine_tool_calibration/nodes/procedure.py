@@ -303,7 +303,7 @@ class ProcedureNode(ManagedNode):
         waiting = sequencer.waiting_for or missing
         entries: dict[str, object] = {
             "state": sequencer.state.value,
-            "phase": sequencer.phase.value,
+            "phase": sequencer.pending.phase.value,
             "captured": sequencer.done,
             "total": total,
             "setup": step.setup if step is not None else "",
@@ -315,6 +315,6 @@ class ProcedureNode(ManagedNode):
         }
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
-            text = sequencer.reason or f"waiting for {waiting}"
+            text = sequencer.pending.reason or f"waiting for {waiting}"
         level = _LEVELS.get(sequencer.state, messages.Level.WARN if waiting else messages.Level.OK)
         self._status.show(level, text, entries)

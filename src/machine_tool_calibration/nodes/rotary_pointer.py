@@ -9,7 +9,6 @@ Eq. (1), four quadrants, with elevation in three dimensions); the command says f
 import math
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -54,8 +53,7 @@ class RotaryPointer(ManagedNode):
         self._motion = Move(rest, rest, 0.0, 0.0)
 
         self._states = self.create_publisher(JointState, "pointer/state", messages.STATE)
-        own = self.create_publisher(DiagnosticArray, "pointer/status", messages.LATCHED)
-        self._status = messages.StatusTopic(self, "pointer", publisher=own, hardware_id="simulated pointer")
+        self._status = messages.StatusTopic(self, "pointer", topic="pointer/status", hardware_id="simulated pointer")
         self._truth = self.create_publisher(PoseStamped, "truth/beam", messages.STATE)
         self.create_subscription(String, "session", self._described, messages.LATCHED)
         hear_targets(self, self._commanded)

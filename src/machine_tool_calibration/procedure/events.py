@@ -84,7 +84,7 @@ class Pending:
     token: int = -1
     first: int = -1
     zeroing: int = -1
-    reason: str = ""
+    reason: str = ""  # why the instrument gives no reading now; empty if it has not said
     stale: int = 0
     since: float = 0.0
     sent: float = 0.0

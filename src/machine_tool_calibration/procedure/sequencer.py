@@ -39,7 +39,7 @@ class Sequencer:
         self._first = 0  # of the present setup's steps
         self.origin = 0
         self._visits: deque[Visit] = deque()
-        self._pending = Pending()
+        self.pending = Pending()  # what the current step waits for
         self._group = DatumGroup()
         self._datums = 0
         self._recoveries = 0
@@ -55,16 +55,6 @@ class Sequencer:
     def step(self) -> Step | None:
         """The step that is measured now, or None after the last."""
         return self.plan.steps[self.done] if self.done < len(self.plan.steps) else None
-
-    @property
-    def phase(self) -> Phase:
-        """What the current step waits for."""
-        return self._pending.phase
-
-    @property
-    def reason(self) -> str:
-        """Why the instrument gives no reading now; empty if it has not said."""
-        return self._pending.reason
 
     # --- what a person asks
 
@@ -115,7 +105,7 @@ class Sequencer:
             case events.MovedAway():
                 return self._moved_away(event, now, wall)
             case events.Refused():
-                if self._pending.motion is not None and event.command == self._pending.motion.stamp:
+                if self.pending.motion is not None and event.command == self.pending.motion.stamp:
                     return self._fail(f"axes: {event.reason}")
                 return []
             case events.Aimed():
@@ -129,7 +119,7 @@ class Sequencer:
 
     def tick(self, now: int, wall: float) -> list[events.Action]:
         """Look at the deadlines; to be called a few times a second."""
-        pending = self._pending
+        pending = self.pending
         if self.state is not State.RUNNING or pending.phase is Phase.NONE:
             return []
         is_asked = pending.phase is not Phase.MOVE and pending.token >= 0
@@ -213,7 +203,7 @@ class Sequencer:
             actions.append(aim)  # a fixed instrument learns from it at which setup it stands
             if step.points:
                 pending.aim, pending.angles = aim, self._angles(step)
-        self._pending = pending
+        self.pending = pending
         self.waiting_for = ""
         return actions
 
@@ -229,7 +219,7 @@ class Sequencer:
         return self._command((step.position,), step, now, wall)
 
     def _arrived(self, event: events.Arrived, now: int, wall: float) -> list[events.Action]:
-        pending = self._pending
+        pending = self.pending
         if pending.phase is not Phase.MOVE or pending.motion is None or event.command != pending.motion.stamp:
             return []
         restarted = bool(self._epoch) and event.epoch != self._epoch
@@ -243,7 +233,7 @@ class Sequencer:
 
     def _moved_away(self, event: events.MovedAway, now: int, wall: float) -> list[events.Action]:
         """A reading would be that of another place: go back and measure again."""
-        there = self._pending.arrived
+        there = self.pending.arrived
         # a probe moves the axes itself, and says where it has touched
         if there is None or isinstance(self.plan.procedure.session, Probing):
             return []
@@ -254,7 +244,7 @@ class Sequencer:
         return self._begin(max(now, event.stamp), wall, again=True)
 
     def _aimed(self, event: events.Aimed, now: int, wall: float) -> list[events.Action]:
-        pending = self._pending
+        pending = self.pending
         if pending.phase is not Phase.MOVE or pending.aim is None or pending.aimed is not None:
             return []
         azimuth, elevation = pending.angles
@@ -267,7 +257,7 @@ class Sequencer:
 
     def _at_rest(self, now: int, wall: float) -> list[events.Action]:
         """Both axes and beam have come to rest: zero or capture."""
-        pending = self._pending
+        pending = self.pending
         if pending.arrived is None or (pending.aim is not None and pending.aimed is None):
             return []
         is_jumped = pending.arrived.held > pending.arrived.arrived
@@ -282,7 +272,7 @@ class Sequencer:
     def _ask(self, phase: Phase, wall: float, *, repeated: bool = False) -> list[events.Action]:
         """Ask the instrument; a repeated request is the same one, whose answer may only be late."""
         self._token += 1
-        pending = self._pending
+        pending = self.pending
         pending.token = self._token
         if not repeated:
             pending.first = self._token
@@ -294,26 +284,26 @@ class Sequencer:
         return [events.Ask(self._token, phase)]
 
     def _datum_set(self, event: events.DatumSet, now: int, wall: float) -> list[events.Action]:
-        pending = self._pending
+        pending = self.pending
         if pending.phase is Phase.CAPTURE and 0 <= pending.zeroing <= event.token < pending.first:
             # the request was repeated and is carried out twice: readings count from the later datum
             self._group.datum = event.datum
             return []
-        if pending.phase is not Phase.DATUM or not self._pending.is_asked(event.token):
+        if pending.phase is not Phase.DATUM or not self.pending.is_asked(event.token):
             return []
-        if self._pending.is_stale(event):
+        if self.pending.is_stale(event):
             return self._ask_again(now, wall)
         self._group.datum = event.datum
         self._datums += 1
         return self._ask(Phase.CAPTURE, wall)
 
     def _captured(self, event: events.Captured, now: int, wall: float) -> list[events.Action]:
-        pending = self._pending
-        if pending.phase is not Phase.CAPTURE or not self._pending.is_asked(event.token):
+        pending = self.pending
+        if pending.phase is not Phase.CAPTURE or not self.pending.is_asked(event.token):
             return []
         if event.datum != self._group.datum:
             return self._recover("the instrument has lost its datum", now, wall)
-        if self._pending.is_stale(event):
+        if self.pending.is_stale(event):
             return self._ask_again(now, wall)
         self._floor = max(self._floor, event.end)
         if _is_elsewhere(self._visits[0].step, event):
@@ -326,7 +316,7 @@ class Sequencer:
 
     def _ask_again(self, now: int, wall: float) -> list[events.Action]:
         """The same request, as its answer came from before; now and then with a further dwell."""
-        pending = self._pending
+        pending = self.pending
         self.counters.stale += 1
         pending.stale += 1
         if pending.stale % _STALE_BEFORE_HOLD == 0:
@@ -358,7 +348,7 @@ class Sequencer:
     # --- what goes wrong
 
     def _capture_failed(self, event: events.CaptureFailed, now: int, wall: float) -> list[events.Action]:
-        pending = self._pending
+        pending = self.pending
         if pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not pending.is_asked(event.token):
             return []
         if event.kind == "unstable":
@@ -402,7 +392,7 @@ class Sequencer:
 
     def _forget(self) -> list[events.Action]:
         """Answers that are still under way no longer belong to anything, and nothing is to be done."""
-        self._pending = Pending()
+        self.pending = Pending()
         self.waiting_for = ""
         return []
 
@@ -421,7 +411,7 @@ class Sequencer:
         columns |= {name: float(place) for name, place in step.position.items()}
         columns |= {f"dir_{name}": float(sign) for name, sign in step.direction.items()}
         if isinstance(session, TrackingInterferometer):
-            columns["azimuth"], columns["elevation"] = self._pending.angles
+            columns["azimuth"], columns["elevation"] = self.pending.angles
         if isinstance(session, Direct):
             # what the instrument reads is the whole travel: the deviation is what is left without the commanded one
             sense = session.sense

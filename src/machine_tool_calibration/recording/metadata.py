@@ -48,7 +48,6 @@ class Qos:
         }
 
 
-RELIABLE = Qos()
 LATCHED = Qos(depth=1, durability="transient_local")
 
 

@@ -17,7 +17,6 @@ from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -182,7 +181,7 @@ _PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent afte
 
 
 class StatusTopic:
-    """Says how a node is, and the device behind it, on a topic of its own: `~/status`, latched, by default.
+    """Says how a node is, and the device behind it, on a topic of its own: `~/status` by default, and latched.
 
     The clock gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
     """
@@ -192,12 +191,13 @@ class StatusTopic:
         node: GuardedNode,
         name: str,
         *,
-        publisher: Publisher | None = None,
+        topic: str = "~/status",
+        qos: QoSProfile = LATCHED,
         hardware_id: str = NO_HARDWARE,
         clock: Callable[[], int] | None = None,
     ) -> None:
         self._node = node
-        self._publisher = publisher or node.create_publisher(DiagnosticArray, "~/status", LATCHED)
+        self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
         self._name, self._hardware = name, hardware_id
         self._clock = clock or (lambda: now(node))
         self._said: tuple[Level, str, Mapping[str, object], Sequence[DiagnosticStatus]] | None = None
