@@ -7,7 +7,7 @@ import numpy as np
 
 from machine_tool_calibration.budget.propagate import Budget, Sum
 from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, Axes, Figure, new_figure
-from machine_tool_calibration.reports.budget import chosen_sums, default_names, sum_name, unit_of
+from machine_tool_calibration.reports.budget import chosen_sums, sum_name, unit_of
 from machine_tool_calibration.words import named, say, together
 
 # Contributors with a colour of their own, and quantities below each other.
@@ -22,7 +22,7 @@ def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
 
     A ModelError if one of the names is not published.
     """
-    sums = chosen_sums(budget, names or default_names(budget))[:_MOST_BARS]
+    sums = chosen_sums(budget, names)[:_MOST_BARS]
     rows = max(len(budget.lines) + 2, len(sums))
     figure = new_figure(11.0, 1.8 + 0.28 * rows, say("budget.title"))
     if not sums:

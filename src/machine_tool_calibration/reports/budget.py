@@ -23,17 +23,15 @@ _MOST_DEGREES_OF_FREEDOM = 1000
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 
 
-def default_names(budget: Budget) -> list[str]:
-    """Quantities that are told if none is asked for: position error, error motions, squareness, ISO 230-2."""
-    usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
-    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name) in _USUAL]
-    return sorted(names, key=lambda name: name != POSITION_ERROR)
-
-
 def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
-    """The largest uncertainty of each quantity, and the root mean square of the position error."""
+    """The largest uncertainty of each quantity, and the root mean square of the position error.
+
+    If none is asked for, those of position error, error motions, squareness and figures of ISO 230-2 and ISO 230-6.
+    """
+    usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
+    every = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name) in _USUAL]
     out = []
-    for name in names:
+    for name in names or sorted(every, key=lambda name: name != POSITION_ERROR):
         out.append(budget.largest(name))
         if name == POSITION_ERROR:
             out.append(budget.rms(name))
@@ -66,7 +64,7 @@ def unit_of(one: Sum) -> tuple[float, str]:
 def budget_parts(budget: Budget, names: Sequence[str] = ()) -> Iterator[Part]:
     """A budget in tables and sentences: of those quantities, or of those that are told of every measurement."""
     yield _contributors(budget)
-    sums = chosen_sums(budget, names or default_names(budget))
+    sums = chosen_sums(budget, names)
     detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
     if detailed:
         yield _contributions(budget, detailed)
@@ -202,7 +200,7 @@ def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]
         "format": "mtcal-budget-result/1",
         "provenance": budget.origin.document(),
         "contributors": [_line_document(line) for line in budget.lines],
-        "quantities": [_sum_document(budget, one) for one in chosen_sums(budget, names or default_names(budget))],
+        "quantities": [_sum_document(budget, one) for one in chosen_sums(budget, names)],
         "draws": 0 if budget.drawn is None else len(budget.drawn.deviation),
     }
 
