@@ -102,12 +102,11 @@ def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     if diagnosis.accepted:
         shown.append((say("picture.with", names=", ".join(diagnosis.accepted)), last, "tab:green"))
     number = bins(values, _MEANS)
-    used = np.unique(number)
-    at = [factor * float(values[number == k].mean()) for k in used]
     for text, fit, shade in shown:
-        panel.plot(factor * values, 1e6 * fit.residuals, ".", ms=4, color=shade, alpha=0.5, label=text)
-        mean = [1e6 * float(fit.residuals[number == k].mean()) for k in used]
-        panel.plot(at, mean, "o-", ms=3, lw=1.2, color=shade, mec="black", mew=0.5, zorder=5)
+        drawn = pd.DataFrame({"at": factor * values, "residual": 1e6 * fit.residuals})
+        panel.plot(drawn["at"], drawn["residual"], ".", ms=4, color=shade, alpha=0.5, label=text)
+        mean = drawn.groupby(number).mean()
+        panel.plot(mean["at"], mean["residual"], "o-", ms=3, lw=1.2, color=shade, mec="black", mew=0.5, zorder=5)
     band = 2e6 * diagnosis.noise.declared
     panel.axhspan(-band, band, color="0.92", zorder=0, label=say("picture.declared_U"))
     panel.set(xlabel=label, ylabel=say("picture.residual"))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.coverage import K
@@ -108,11 +109,10 @@ def _draw(panel: Axes, where: Array, before: Array, after: Array) -> None:
 
 def _band(panel: Axes, where: Array, spread: Array, *, signed: bool) -> None:
     """Twice the root mean square standard uncertainty of all points at a position."""
-    place, group = np.unique(np.round(where / _SAME_POSITION), return_inverse=True)
-    square = np.bincount(group.ravel(), spread**2) / np.bincount(group.ravel())
-    half = 2e6 * np.sqrt(square)
+    square = pd.Series(spread**2).groupby(np.round(where / _SAME_POSITION)).mean()
+    half = 2e6 * np.sqrt(square.to_numpy())
     low = -half if signed else 0.0 * half
-    panel.fill_between(1e3 * _SAME_POSITION * place, low, half, color=style.BAND, alpha=0.5, lw=0, zorder=0)
+    panel.fill_between(1e3 * _SAME_POSITION * square.index, low, half, color=style.BAND, alpha=0.5, lw=0, zorder=0)
 
 
 # Largest error as a share of the size of the map.

@@ -55,12 +55,6 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
     panel.ticklabel_format(axis="x", useOffset=False)
 
 
-def _means(values: Array, number: IntArray) -> Array:
-    """(groups, k) means of (n, k) values by the number of their group."""
-    count = np.bincount(number)
-    return np.column_stack([np.bincount(number, column) / count for column in values.T])
-
-
 def draw_arrows(
     panel: Axes, observations: Observations, residual: Array, same: IntArray, plane: tuple[int, int]
 ) -> None:
@@ -70,7 +64,8 @@ def draw_arrows(
     same scale.
     """
     arrows = residual[:, None] * observations.direction
-    place, arrow, sign = (_means(values, same) for values in (observations.position, arrows, residual[:, None]))
+    seen = (observations.position, arrows, residual[:, None])
+    place, arrow, sign = (pd.DataFrame(values).groupby(same).mean().to_numpy() for values in seen)
     extent = max(float(np.ptp(observations.position, axis=0).max()), 1e-6)
     # The scale is that of the bulk: a single outlier may leave the panel.
     long = max(float(np.quantile(np.linalg.norm(arrow, axis=1), 0.98)), 1e-12)

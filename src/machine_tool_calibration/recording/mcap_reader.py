@@ -169,13 +169,22 @@ def topic_of(channel: Channel, schema: Schema | None, messages: int = 0) -> Topi
 
 
 @dataclass
-class Channels:
-    """Schemas and channels that were registered so far."""
+class Summary:
+    """What a file holds, by its own summary or by counting; times in ns."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    kept: int = 0
+    kept: int = 0  # bytes of the schemas and channels
+    counts: dict[int, int] = field(default_factory=dict)  # of messages by channel
+    first: int = 0
+    last: int = 0
+    chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)  # by the byte where the chunk begins
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return sum(self.counts.values())
 
     def take(self, record: RawRecord) -> None:
         """Register what a schema or channel record says; a RecordingError if it is damaged, or beyond measure."""
@@ -191,22 +200,6 @@ class Channels:
             raise RecordingError(f"{self.path}: more than {_DEFINITIONS >> 20} MiB of message definitions")
 
 
-@dataclass
-class Summary:
-    """What a file holds, by its own summary or by counting; times in ns."""
-
-    channels: Channels
-    counts: dict[int, int] = field(default_factory=dict)
-    first: int = 0
-    last: int = 0
-    chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)
-
-    @property
-    def messages(self) -> int:
-        """Number of messages."""
-        return sum(self.counts.values())
-
-
 class McapReader:
     """Reads one finished MCAP file, in the order in which it was written."""
 
@@ -219,7 +212,7 @@ class McapReader:
 
     def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[tuple[Channel, RawMessage]]:
         """The messages of the channels that are wanted (all if None), with their channel, up to a damage."""
-        known = self.summary.channels.channels
+        known = self.summary.channels
         ids = None if wanted is None else frozenset(i for i, channel in known.items() if wanted(channel))
         skip: Collection[int] = ()
         if ids is not None:
@@ -262,15 +255,15 @@ class McapReader:
             return None
         if not 8 <= start < size:
             raise RecordingError(f"{self.path}: the footer points outside the file; {_MAKES_WHOLE}")
-        found, statistics = Summary(Channels(self.path)), None
+        found, statistics = Summary(self.path), None
         for record in records(self.path, stream, start=start):
-            found.channels.take(record)
+            found.take(record)
             if record.opcode == Opcode.STATISTICS:
                 statistics = _parse(self.path, record, Statistics.read)
             elif record.opcode == Opcode.CHUNK_INDEX:
                 index = _parse(self.path, record, ChunkIndex.read)
                 found.chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
-        if statistics is None or not statistics.channel_message_counts.keys() <= found.channels.channels.keys():
+        if statistics is None or not statistics.channel_message_counts.keys() <= found.channels.keys():
             return None
         found.counts = dict(statistics.channel_message_counts)
         found.first, found.last = statistics.message_start_time, statistics.message_end_time
@@ -278,10 +271,10 @@ class McapReader:
 
     def _count(self) -> Summary:
         """The summary of a file that has none of its own."""
-        found = Summary(Channels(self.path))
+        found = Summary(self.path)
         for entry in self._walk((), None):
             if isinstance(entry, RawRecord):
-                found.channels.take(entry)
+                found.take(entry)
                 continue
             found.first = min(found.first, entry.log_time) if found.counts else entry.log_time
             found.last = max(found.last, entry.log_time)

@@ -123,16 +123,11 @@ class FileSummary:
     messages: int = 0
     by_topic: dict[str, int] = field(default_factory=dict)
 
-    @property
-    def duration(self) -> int:
-        """From the first to the last message, ns."""
-        return max(0, self.last - self.first) if self.messages else 0
-
 
 def bag_information(files: Sequence[FileSummary], topics: Sequence[Topic]) -> dict[str, Any]:
     """Content of `rosbag2_bagfile_information`."""
     first = min((entry.first for entry in files), default=FOREVER)
-    last = max((entry.last for entry in files if entry.messages), default=first)
+    last = max((entry.last for entry in files), default=0)
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
@@ -159,7 +154,7 @@ def bag_information(files: Sequence[FileSummary], topics: Sequence[Topic]) -> di
             {
                 "path": entry.path,
                 "starting_time": {"nanoseconds_since_epoch": entry.first},
-                "duration": {"nanoseconds": entry.duration},
+                "duration": {"nanoseconds": max(0, entry.last - entry.first)},
                 "message_count": entry.messages,
             }
             for entry in files

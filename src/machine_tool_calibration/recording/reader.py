@@ -147,9 +147,9 @@ def _inside(folder: Path, name: str) -> Path:
 def _merge(readers: list[McapReader]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
     for reader in readers:
-        known = reader.summary.channels
+        known = reader.summary
         for number, channel in known.channels.items():
-            topic = topic_of(channel, known.schemas.get(channel.schema_id), reader.summary.counts.get(number, 0))
+            topic = topic_of(channel, known.schemas.get(channel.schema_id), known.counts.get(number, 0))
             if (before := topics.get(topic.name)) is not None:
                 if before.type != topic.type:
                     types = f"{before.type!r} and {topic.type!r}"

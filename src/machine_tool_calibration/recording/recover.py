@@ -108,7 +108,7 @@ class _Salvage:
         self._read = read
         self.problems: list[str] = []
         self.lost = 0
-        self._channels = mcap_reader.Channels(path)
+        self._known = mcap_reader.Summary(path)
 
     def messages(self) -> Iterator[tuple[Channel, Schema | None, RawMessage]]:
         if not begins_with(self.path, MAGIC):
@@ -117,12 +117,12 @@ class _Salvage:
             return
         for entry in self._entries():
             if isinstance(entry, RawRecord):
-                self._channels.take(entry)
+                self._known.take(entry)
                 continue
-            if (channel := self._channels.channels.get(entry.channel)) is None:
+            if (channel := self._known.channels.get(entry.channel)) is None:
                 self._problem(mcap_reader.UNREGISTERED.format(entry.channel), len(entry.data))
                 continue
-            yield channel, self._channels.schemas.get(channel.schema_id), entry
+            yield channel, self._known.schemas.get(channel.schema_id), entry
 
     def _entries(self) -> Iterator[RawMessage | RawRecord]:
         start: int | None = len(MAGIC)
@@ -155,7 +155,7 @@ class _Salvage:
         """Where the next chunk begins, by the index at the file's end; None where there is none."""
         if (summary := self._summary) is None:
             return None
-        self._channels = summary.channels  # those of the chunks that are lost, too
+        self._known = summary  # with the channels of the chunks that are lost
         return min((offset for offset in summary.chunk_channels if offset > after), default=None)
 
     @cached_property
