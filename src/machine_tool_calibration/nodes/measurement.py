@@ -29,6 +29,7 @@ from machine_tool_calibration.nodes.ros.messages import Level, StatusTopic
 from machine_tool_calibration.nodes.ros.node import OF_ROS, parameters_of
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
+from machine_tool_calibration.procedure.events import COUNTERS
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
@@ -47,7 +48,6 @@ _COLLECT = 60.0
 _ANSWER = 60.0
 _ON_THE_WAY = 5.0
 _LONGEST = 40  # readings of a stage: a minute or two
-_COUNTERS = ("resent", "stale", "unstable", "recoveries", "restarts")
 
 Counting = Callable[[str, int, int], None]
 """Called with what is going on, without their number, and how many of how many readings there are."""
@@ -181,7 +181,7 @@ def measure(
                 graph.stop(["recorder"])
             if (session := _save(client, output)) is None:
                 raise CalibrationError("the procedure ended without a reading")
-            counters = {name: client.procedure.number(name) for name in _COUNTERS}
+            counters = {name: client.procedure.number(name) for name in COUNTERS}
     if document is not None:
         save(output / "result.json", json.dumps(document, allow_nan=False, indent=1))
     return Measured(

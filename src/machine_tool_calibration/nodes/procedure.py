@@ -311,7 +311,7 @@ class ProcedureNode(ManagedNode):
             "waiting_for": waiting,
             "duration": f"{sequencer.plan.duration:.0f}",
             "services_move_axes": self._moves,
-            **vars(sequencer.counters),
+            **sequencer.counters,
         }
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):

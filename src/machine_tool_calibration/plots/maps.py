@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps beside each other: of two plans, before and after compensation, and of two measurements of one machine."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,17 +9,15 @@ import pandas as pd
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.export.compensation import ResidualErrors
+from machine_tool_calibration.methods.map_comparison import MapComparison
+from machine_tool_calibration.planning.best_plan import BestPlan, PlanQuality
 from machine_tool_calibration.plots import style
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import Axes, Figure
 from machine_tool_calibration.reports.quantities import expanded_text, p_value
 from machine_tool_calibration.session.session import distinct_places
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.export.compensation import ResidualErrors
-    from machine_tool_calibration.methods.map_comparison import MapComparison
-    from machine_tool_calibration.planning.best_plan import BestPlan, PlanQuality
 
 
 def draw_best_plan(found: BestPlan) -> Figure:

@@ -47,15 +47,8 @@ class Timing:
     wait_every: int = 0  # pause in a setup after so many readings too, to decide whether they are enough; 0: never
 
 
-@dataclass
-class Counters:
-    """What did not go straight, for the status and the tests."""
-
-    resent: int = 0
-    stale: int = 0
-    unstable: int = 0
-    recoveries: int = 0
-    restarts: int = 0
+COUNTERS = ("resent", "stale", "unstable", "recoveries", "restarts")
+"""What did not go straight, and is counted."""
 
 
 @dataclass

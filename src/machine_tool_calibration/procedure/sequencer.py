@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.procedure import events
-from machine_tool_calibration.procedure.events import Counters, DatumGroup, Pending, Phase, State, Timing, Visit
+from machine_tool_calibration.procedure.events import COUNTERS, DatumGroup, Pending, Phase, State, Timing, Visit
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.steps import Plan, Step, pointing
 from machine_tool_calibration.session.collect import READING_INDEX
@@ -34,7 +34,7 @@ class Sequencer:
         self.state = State.IDLE
         self.message = "ready to start"
         self.waiting_for = ""
-        self.counters = Counters()
+        self.counters = dict.fromkeys(COUNTERS, 0)
         self.done = 0
         self._first = 0  # of the present setup's steps
         self.origin = 0
@@ -64,7 +64,7 @@ class Sequencer:
         self.done, self._floor = 0, max(now, self._floor)
         self._recoveries = self._unstable = 0
         self._group, self._datums, self._here = DatumGroup(), 0, here
-        self.counters, self.origin = Counters(), self._floor
+        self.counters, self.origin = dict.fromkeys(COUNTERS, 0), self._floor
         self.state, self.message = State.RUNNING, "measuring"
         return self._next(now, wall)
 
@@ -135,7 +135,7 @@ class Sequencer:
             self.waiting_for = "instrument"
         if wall - pending.since > self.timing.patience + pending.expected:
             return self._fail(pending.reason or f"no answer from {self.waiting_for} for {wall - pending.since:.0f} s")
-        self.counters.resent += 1
+        self.counters["resent"] += 1
         pending.sent = wall
         if pending.phase is not Phase.MOVE:
             return self._ask(pending.phase, wall, repeated=True)
@@ -225,7 +225,7 @@ class Sequencer:
         restarted = bool(self._epoch) and event.epoch != self._epoch
         self._epoch = event.epoch
         if restarted:  # it did not come from where the plan says: the direction of approach is not certain
-            self.counters.restarts += 1
+            self.counters["restarts"] += 1
             return self._begin(max(now, event.held), wall, again=True)
         pending.arrived = event
         self._floor = max(self._floor, event.held)
@@ -307,7 +307,7 @@ class Sequencer:
             return self._ask_again(now, wall)
         self._floor = max(self._floor, event.end)
         if _is_elsewhere(self._visits[0].step, event):
-            self.counters.stale += 1
+            self.counters["stale"] += 1
             return self._begin(max(now, event.end), wall, again=True)
         visit = self._visits.popleft()
         if math.isnan(visit.revisit):
@@ -317,7 +317,7 @@ class Sequencer:
     def _ask_again(self, now: int, wall: float) -> list[events.Action]:
         """The same request, as its answer came from before; now and then with a further dwell."""
         pending = self.pending
-        self.counters.stale += 1
+        self.counters["stale"] += 1
         pending.stale += 1
         if pending.stale % _STALE_BEFORE_HOLD == 0:
             return self._hold(now, wall)
@@ -363,13 +363,13 @@ class Sequencer:
 
     def _unstable_too_often(self) -> bool:
         """Count an attempt at the step that was not stable; whether there were too many."""
-        self.counters.unstable += 1
+        self.counters["unstable"] += 1
         self._unstable += 1
         return self._unstable > _UNSTABLE_BEFORE_ERROR
 
     def _recover(self, reason: str, now: int, wall: float) -> list[events.Action]:
         """Zero the path again at a target measured before, and measure a few of them to tie the datums."""
-        self.counters.recoveries += 1
+        self.counters["recoveries"] += 1
         self._recoveries += 1
         if self._recoveries > _RECOVERIES_BEFORE_ERROR:
             return self._fail(f"instrument: {reason}")
