@@ -168,6 +168,9 @@ def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[s
 
 sessions_argument = click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=PATH)
 model_option = click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
+effect_option = click.option(
+    "-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect to have in the model; repeatable."
+)
 effects_file_option = click.option(
     "--effects-file",
     "files",
@@ -187,7 +190,7 @@ _new_model_options = options(
         multiple=True,
         help="Reading that is not to be set aside, as the table of those set aside names it; repeatable.",
     ),
-    click.option("-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect to have in the model."),
+    effect_option,
     effects_file_option,
     model_option,
 )

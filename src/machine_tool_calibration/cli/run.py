@@ -9,6 +9,7 @@ import click
 
 from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.budget.patterns import shared_errors
+from machine_tool_calibration.cli.diagnosing import effect_option, model_option
 from machine_tool_calibration.cli.enough import known_after
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.shared import PATH, json_option, note, progress_bar, tell_either
@@ -52,10 +53,8 @@ from machine_tool_calibration.simulation.site import SiteSpec, read_site
     type=PATH,
     help="ROS parameter file for the nodes, such as the package's config/nodes.yaml.",
 )
-@click.option("--model", default="", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
-@click.option(
-    "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
-)
+@model_option
+@effect_option
 @click.option(
     "--until",
     metavar="U=… | told=…",
@@ -98,7 +97,7 @@ def command(
     setting = Setting(output=folder, site=world, until=wanted, **asked)
     with TemporaryDirectory() as own:
         if wanted is not None:  # the setups that come soonest to it
-            assumed = Assumed(setting.model or None, errors=shared_errors)
+            assumed = Assumed(setting.model, errors=shared_errors)
             u = None if wanted.u is None else wanted.u / K
             with progress_bar() as share:
                 text = quickest_plan(read_text(file), str(file), assumed, u=u, told=wanted.told, progress=share)
@@ -108,7 +107,7 @@ def command(
             measured = measure(file, setting, progress, note)
     parts: list[Part] = list(measured.remarks)
     if wanted is not None and not as_json:
-        chosen = FitRequest((measured.session,), None, setting.model or None, setting.effects, tuple(own_effects(())))
+        chosen = FitRequest((measured.session,), None, setting.model, setting.effects, tuple(own_effects(())))
         parts += known_after(chosen, wanted, measured.reached, measured.session_folder)
     parts += [result_table(measured), files_table(measured)]
     verbs = ("align-pointer",) if aligns else ("identify", "diagnose")

@@ -66,7 +66,7 @@ class Setting:
     domain: int | None = None  # ROS domain id; a free one by default
     record: bool = True  # whether the recorder runs
     identify: bool = True  # whether the errors are identified at the end
-    model: str = ""  # variant of the model; empty: the default
+    model: str | None = None  # variant of the model; None: the default
     effects: tuple[str, ...] = ()  # effects added to the model
     external: tuple[str, ...] = ()  # nodes that run elsewhere and are not started
     parameters: Path | None = None  # a ROS parameter file for the nodes
@@ -259,7 +259,7 @@ def _nodes(setting: Setting, procedure: Procedure) -> dict[str, dict[str, Any]]:
     parameters = graph_parameters(
         method, copy.resolve(), site.resolve(), simulated_time=setting.simulated_time, driver=setting.driver, bag=bag
     )
-    parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
+    parameters["estimator"] |= {"model": setting.model or "", "effects": list(setting.effects) or [""]}
     if setting.until is not None:
         parameters["procedure"] |= {"wait_between_setups": True, "wait_every": stage_of(procedure)}
     nodes = tuple(name for name in NODES if name in parameters)
@@ -324,7 +324,7 @@ class Stages:
 
     def __init__(self, client: Client, procedure: Procedure, setting: Setting, until: Until) -> None:
         self._client, self._until = client, until
-        self._model, self._effects, self._own = setting.model or None, setting.effects, tuple(own_effects(()))
+        self._model, self._effects, self._own = setting.model, setting.effects, tuple(own_effects(()))
         # a person takes the instrument to its setups, if it has to be taken there
         is_mounted = bool(method_spec(procedure.session.method).mounted(procedure.session))
         self._by_hand = is_mounted and not setting.simulated_time
