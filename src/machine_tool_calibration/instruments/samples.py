@@ -117,15 +117,12 @@ class DriverSource:
         self._thread.start()
 
     def _read(self) -> None:
+        is_open = False
         while not self._stopped.is_set():
             try:
-                self._driver.open()
-                break
-            except InstrumentError as error:
-                self._problem = str(error)
-                self._stopped.wait(_AGAIN)
-        while not self._stopped.is_set():
-            try:
+                if not is_open:
+                    self._driver.open()
+                    is_open = True
                 samples = self._driver.read(0.1)
             except InstrumentError as error:
                 self._problem = str(error)

@@ -45,13 +45,9 @@ def _fault(message: Any) -> str:
 @cache
 def _check_of(kind: Any) -> _Check:
     """The check of a class of messages: only fields in which something can be wrong are looked at."""
-    if kind is Time:
-        return _time
-    if kind is Duration:
-        return _duration
     fields = kind.get_fields_and_field_types().items()
     checks = [(name, check) for name, type_ in fields if (check := _check_of_field(type_))]
-    own = {JointState: _pairs, Quaternion: _rotation}.get(kind)
+    own = _OWN.get(kind)
 
     def check_all(message: Any) -> str:
         for name, check in checks:
@@ -125,3 +121,7 @@ def _pairs(message: JointState) -> str:
         if len(values) not in (0, names):
             return f" {names} names and {len(values)} {field}"
     return ""
+
+
+_OWN: dict[Any, _Check] = {Time: _time, Duration: _duration, JointState: _pairs, Quaternion: _rotation}
+"""What can be wrong with a message as a whole, by its class."""
