@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that holds the model against its readings, and sets readings aside."""
 
-from dataclasses import replace
 from functools import partial
 from html import escape
 
@@ -15,7 +14,6 @@ from machine_tool_calibration.reports.comparison import comparison_tables, in_wo
 from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench import look
-from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -207,13 +205,7 @@ class ComparePage:
         self._use_without("fitting with them", self._state.model.aside - chosen if chosen else frozenset())
 
     def _use_without(self, what: str, aside: frozenset[int]) -> None:
-        job = self._state.changed(aside=aside)
-
-        def take(made: Model) -> None:
-            self._clear()
-            job.take(made)
-
-        self._work.run(what, replace(job, take=take))
+        self._work.run(what, self._state.changed(aside=aside).then(self._clear))
 
     def _clear(self) -> None:
         self._rows.value = ""
