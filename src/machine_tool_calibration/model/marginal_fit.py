@@ -244,8 +244,10 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
     most = _MOST_SIZES if solved.random is None else _MOST_WITH_RANDOM
     known = _probable_sizes(outside, _of_repeats(solved, families), ~seen[runs], most)
     plain, scatter = _scatter(known.squares, dof), _scatter(known.squares, dof, known.again)
-    # Where nothing was read again and what is left is mostly something else, neither do runs.
-    if solution.chi_square - known.squares < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
+    # Where nothing was read again and what is left is mostly something else, neither do runs; nor where an area was, in
+    # which time is a place: in a raster.
+    explained = solution.chi_square - known.squares
+    if _of_area(solved) or explained < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = known.unrepeated[own] & np.array([names[was[k]] != CURVES for k in own], dtype=bool)
     tau = np.zeros((len(known.weights), u))
     # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too,
@@ -392,6 +394,12 @@ def _of_repeats(solved: Solved, families: Sequence[str]) -> list[PureError | Non
 def _direct(solved: Solved) -> bool:
     """Whether the machine itself is read."""
     return all(spec_of(model.observations.session).reads_machine for model in solved.assembly.models)
+
+
+def _of_area(solved: Solved) -> bool:
+    """Whether it is read along two axes or more, and not on circles, on which one sets the other."""
+    observed = [model.observations for model in solved.assembly.models]
+    return _direct(solved) and all(o.moved.sum() > 1 and not spec_of(o.session).centred for o in observed)
 
 
 def _scatter(squares: float, dof: int, again: Sequence[tuple[float, float]] = ()) -> float:

@@ -90,7 +90,8 @@ def test_readings_of_one_place_tell_the_noise() -> None:
     assert one.noise.lack_of_fit_p is None and one.noisy and one.verdict in ("adequate", "outliers")
 
 
-def test_a_raster_without_times_says_nothing_of_runs() -> None:
+@pytest.mark.parametrize("timed", [False, True])
+def test_a_raster_says_nothing_of_runs(timed: bool) -> None:
     """Four zones, one after the other, by a machine that yaws: what goes on with the order of rows is the machine's.
 
     As slopes of runs it had moved the map of a stage by eight times the error of plain least squares.
@@ -103,6 +104,7 @@ def test_a_raster_without_times_says_nothing_of_runs() -> None:
     x, y = np.repeat(at, 2, axis=0).T
     gx = np.tile([1.0, 0.0], len(at))
     columns = {"x": x, "y": y, "gx": gx, "gy": 1.0 - gx, "gz": 0.0 * gx, "displacement": off.ravel()}
+    columns |= {"time": 10.0 * np.arange(len(gx))} if timed else {}
     setup = np.repeat(np.arange(4), 2 * len(grid)).tolist()
     terms = ["EXX", "EYY", "EXY", "EYX", "C0Y"]
     session = plates.session(columns, 1e-7, "rigid", terms, None, *"ABCD", setup=setup)
