@@ -72,7 +72,7 @@ def improvement_parts(done: Improvement) -> Iterator[Part]:
 
 def improvement_words(done: Improvement) -> str:
     """What was found to add, or to set aside, by how much the residual fell, and what is left: a sentence or some."""
-    found, last = done.diagnosis, done.last
+    first, last = done.diagnosis, done.last
     fell = _what_falls(done)
     aside = sum(map(len, done.steps[-1].set_aside))
     said = [say("improved.aside", n=aside)] if aside else []
@@ -81,14 +81,16 @@ def improvement_words(done: Improvement) -> str:
         key = "improved.added_grows" if grows else "improved.added"
         said.append(say(key, names=", ".join(done.accepted), fell=fell, grows=grows))
         if last.verdict == "unexplained":
-            said.append(say("improved.left", found=headline(last)))
+            found = headline(last)
+            of_none = found.key == "diagnosis.unexplained"
+            said.append(say("improved.left", found=say("improved.of_none") if of_none else found))
         elif not last.accepted and fit_quality(last.fits[-1].p_value) == "bad":
             said.append(say("improved.scatters", ratio=rounded(last.fits[-1].birge_ratio)))
         return together(said)
-    if found.verdict == "outliers":
-        return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
-    key = "unexplained" if found.verdict == "unexplained" else "nothing"
-    return together([*said, say(f"improved.{key}", found=headline(found))])
+    if first.verdict == "outliers":
+        return say("improved.set_aside", n=len(first.gross_errors), fell=fell)
+    key = "unexplained" if first.verdict == "unexplained" else "nothing"
+    return together([*said, say(f"improved.{key}", found=headline(first))])
 
 
 def _what_falls(done: Improvement) -> str:
