@@ -15,8 +15,6 @@ from machine_tool_calibration.session.record import Record, validated
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import read_text
 
-FORMAT = "mtcal-budget/1"
-
 
 class BudgetFile(Record):
     """What a budget's file holds."""
@@ -28,7 +26,7 @@ class BudgetFile(Record):
 
 def read_budget(path: Path) -> tuple[Contributor, ...]:
     """The contributors that a file lists; a SessionError names file, line and key of what is wrong in it."""
-    return parse_record(read_text(path), str(path), BudgetFile, FORMAT).contributors
+    return parse_record(read_text(path), str(path), BudgetFile).contributors
 
 
 def instruments() -> tuple[str, ...]:
@@ -46,7 +44,7 @@ def template(instrument: str) -> str:
 
 def template_of(instrument: str) -> tuple[Contributor, ...]:
     """The contributors of an instrument's budget to begin with; a ModelError if there is none for it."""
-    return parse_record(template(instrument), f"{instrument}.yaml", BudgetFile, FORMAT).contributors
+    return parse_record(template(instrument), f"{instrument}.yaml", BudgetFile).contributors
 
 
 def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:

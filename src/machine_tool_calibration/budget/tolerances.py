@@ -15,7 +15,6 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.units import quantity
 
-FORMAT = "mtcal-tolerances/1"
 _LARGEST = 0.1  # m or rad: a tolerance beyond is of another unit
 
 
@@ -41,7 +40,7 @@ def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
 
 def read_tolerances(path: Path) -> dict[str, float]:
     """Tolerances in m and rad from a YAML file; a SessionError says what is wrong in it and where."""
-    content = parse_record(read_text(path), str(path), _File, FORMAT).tolerances
+    content = parse_record(read_text(path), str(path), _File).tolerances
     return {name: tolerance(name, value, f"{path}: ") for name, value in content.items()}
 
 

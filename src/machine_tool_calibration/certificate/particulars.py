@@ -15,7 +15,6 @@ from machine_tool_calibration.session.record import Record, validated
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import read_text
 
-FORMAT = "mtcal-certificate/1"
 # What else the keys of an item or an instrument are called under `about` in a session.
 _SYNONYMS = {"serial_number": "serial", "type": "model"}
 
@@ -164,7 +163,7 @@ def read_certificate(files: Sequence[Path], sessions: Sequence[Session]) -> Cert
     """
     declared = _of_sessions([session.description.about for session in sessions])
     for file in files:
-        own = parse_record(read_text(file), str(file), _File, FORMAT).certificate
+        own = parse_record(read_text(file), str(file), _File).certificate
         content = own.model_dump(exclude_unset=True)
         if own.laboratory.logo:
             content["laboratory"]["logo"] = str(file.parent / own.laboratory.logo)

@@ -3,9 +3,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
@@ -14,29 +14,27 @@ from machine_tool_calibration.session.record import AnyRecord, Record, either, k
 from machine_tool_calibration.session.text import Document, load_yaml, read_text, yaml_text
 from machine_tool_calibration.session.values import Identifier
 
-FORMAT = "mtcal-session/1"
-
 
 def parse_description(text: str, source: str) -> Description:
     """The description that a `session.yaml` holds; a SessionError: its `source`, line and key of the first defect."""
-    document = _mapping(text, source, FORMAT)
+    document = _mapping(text, source, Description)
     return describe(document.value, source, document)
 
 
-def parse_record(text: str, source: str, record: type[AnyRecord], form: str) -> AnyRecord:
-    """A record of another kind that a YAML text holds, with that `format`; errors as for `parse_description`."""
-    document = _mapping(text, source, form)
+def parse_record(text: str, source: str, record: type[AnyRecord]) -> AnyRecord:
+    """A record of another kind that a YAML text holds, with its `format`; errors as for `parse_description`."""
+    document = _mapping(text, source, record)
     return validated(record, document.value, source, document)
 
 
-def _mapping(text: str, source: str, form: str) -> Document:
+def _mapping(text: str, source: str, record: type[BaseModel]) -> Document:
     # no key takes a truth value, and pydantic would take one for a number
     document = load_yaml(text, source, truth=False)
     if document.value is None:
         raise SessionError(f"{source}: the file is empty")
     if not isinstance(document.value, dict):
         raise SessionError(f"{source}: must be a mapping of keys, not {kind_of(document.value)}")
-    _check_key("format", [form], source, document)
+    _check_key("format", get_args(record.model_fields["format"].annotation), source, document)
     return document
 
 
@@ -78,4 +76,4 @@ class _FeaturePoints(Record):
 
 def read_feature_points(file: Path) -> dict[str, tuple[str, ...]]:
     """Ids of the points of each feature, where the session's points do not name it; errors as for a description."""
-    return parse_record(read_text(file), str(file), _FeaturePoints, "mtcal-feature-points/1").features
+    return parse_record(read_text(file), str(file), _FeaturePoints).features

@@ -40,37 +40,27 @@ def validated(
     unnamed: Container[object] = (),
     refusal: type[CalibrationError] = SessionError,
 ) -> AnyRecord:
-    """The record that a content is, else a `refusal` that says its first defect; arguments as of `first_defect`."""
+    """The record that a content is, else a `refusal` that says its first defect in one line.
+
+    An unknown key first, as it is often the misspelt one that is then missing. `source` names what was read, the
+    `document` its lines, if there is one. `unnamed` are parts of a defect's place that are no keys but pydantic's, such
+    as names of variants.
+    """
     try:
         return record.model_validate(content)
     except ValidationError as error:
-        raise refusal(first_defect(error, source, document, record, unnamed)) from None
-
-
-def first_defect(
-    error: ValidationError,
-    source: str,
-    document: Document | None = None,
-    record: type[BaseModel] | None = None,
-    unnamed: Container[object] = (),
-) -> str:
-    """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing.
-
-    `source` names what was read, the `document` its lines, if there is one; the `record` tells what a misspelt key may
-    have meant. `unnamed` are parts of a defect's place that are no keys but pydantic's, such as names of variants.
-    """
+        defects = error.errors(include_url=False)
     order = ("extra_forbidden", "missing")
-    defects = error.errors(include_url=False)
     defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
     defect: dict[str, Any] = dict(defects[0])
     path, end = defect["loc"], len(defect["loc"]) - (defect["type"] in order)  # those end in a key
     named = (part for part in path[:end] if part not in unnamed and not str(part).startswith("function-"))
     defect["loc"] = (*named, *path[end:])
     place = place_in(source, document or Document(None, {}), defect["loc"])
-    return f"{place}: {_words(defect, record)}" if place else _words(defect, record)
+    raise refusal(f"{place}: {_words(defect, record)}" if place else _words(defect, record))
 
 
-def _words(defect: dict[str, Any], record: type[BaseModel] | None) -> str:
+def _words(defect: dict[str, Any], record: type[BaseModel]) -> str:
     path = tuple(defect["loc"])
     key, kind, context, value = _key(path) or "the content", defect["type"], defect.get("ctx", {}), defect["input"]
     if kind == "extra_forbidden":
@@ -118,7 +108,7 @@ def _key(path: tuple[Any, ...]) -> str:
     return text
 
 
-def _meant(location: tuple[Any, ...], whole: type[BaseModel] | None) -> str:
+def _meant(location: tuple[Any, ...], whole: type[BaseModel]) -> str:
     """A suggestion for a misspelt key: the nearest that the record at that place has."""
     record: Any = whole
     for part in location[:-1]:

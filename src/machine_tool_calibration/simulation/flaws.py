@@ -48,14 +48,10 @@ def refractivity(temperature: Array | float, pressure: Array | float, humidity: 
     return np.asarray(dry - vapour * (3.7345 - 0.0401 * s) * 1e-10)
 
 
-def deviation(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.5) -> Array:
-    """Refractive index minus that of standard air (20 °C, 101325 Pa, 50 %)."""
-    return refractivity(temperature, pressure, humidity) - refractivity(*STANDARD)
-
-
 def _air(scene: Scene) -> Array:
     """Refractive index of the air minus that of standard air (updated Edlén equation)."""
-    return deviation(scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity"))
+    sensed = (scene.sensed(name) for name in ("temperature_air", "air_pressure", "relative_humidity"))
+    return refractivity(*sensed) - refractivity(*STANDARD)
 
 
 def _by_setup(seed: int, setup: IntArray, draw: Callable[[np.random.Generator], Array]) -> Array:

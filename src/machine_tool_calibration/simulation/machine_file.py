@@ -165,7 +165,7 @@ def read_machine(path: Path | str) -> MachineSpec:
 
 
 def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] = ()) -> AnyRecord:
-    """A record from a YAML file; a CalibrationError names file, line and key. `unnamed` is as for `first_defect`."""
+    """A record from a YAML file; a CalibrationError names file, line and key. `unnamed` is as for `validated`."""
     document = read_yaml(path)
     if document.value is None:  # not what it was meant to say
         raise CalibrationError(f"{path}: the file is empty")
