@@ -88,7 +88,7 @@ def found_once() -> Iterator[None]:
     """Diagnoses, improvements and budgets of what several tests look at are calculated once, whoever asks for them."""
     with pytest.MonkeyPatch.context() as patch:
         for room, searches in (
-            (complete, ("look_for_effects", "improve_models", "conclude_from", "propagate")),
+            (complete, ("look_for_effects", "improve_models", "consequences", "what_to_measure", "propagate")),
             (improve, ("diagnose",)),
             (identification, ("diagnose", "propagate")),
             (evaluation, ("improve", "propagate")),

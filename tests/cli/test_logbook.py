@@ -57,7 +57,7 @@ def test_an_entry_that_was_wrong_is_withdrawn_and_entered_again(tmp_path: Path, 
     assert [(one["number"], one["why"]) for one in listed["withdrawn"]] == [(1, "misspelt")]
     assert "entry 1 is withdrawn: misspelt" in verb("logbook", "list", book).text
     with sqlite3.connect(book) as database:
-        database.executescript("DROP TRIGGER no_update; UPDATE entries SET sizes = 'x' WHERE number = 2;")
+        database.executescript("DROP TRIGGER entry_kept; UPDATE entries SET sizes = 'x' WHERE number = 2;")
     assert "entry 2 (january) is damaged" in verb.refused("logbook", "list", book)
     verb("logbook", "withdraw", book, 2, "--why", "damaged")
     assert not verb("logbook", "list", book, "--json").document["entries"]

@@ -10,10 +10,9 @@ import pytest
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.effect_sizes import smallest_signal
-from machine_tool_calibration.planning import what_to_measure
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Sensed
-from machine_tool_calibration.planning.what_to_measure import Advice, Visibility, _separation, visibilities
+from machine_tool_calibration.planning.what_to_measure import Visibility, _separation, visibilities
 
 PAIR = ("one", "other")
 
@@ -150,21 +149,3 @@ def test_an_absorbed_effect_is_promised_by_what_would_be_accepted() -> None:
     assert found.after == pytest.approx(2.0 * signal / np.sqrt(information))
     assert seldom(0.0, ("hardly", 1e4), rank=0, detectable=False) == []  # larger than any could be
     assert seldom(0.0, ("not at all", 0.0), rank=0, detectable=False) == []
-
-
-def test_conclusions_go_on_where_the_search_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the whole time a tenth for what the candidates would change, and the rest for what to measure next."""
-    advice = Advice()
-
-    def asked(found: object, progress: Any) -> Advice:
-        for share in (0.0, 0.5, 1.0):
-            progress("further", share)
-        return advice
-
-    monkeypatch.setattr(what_to_measure, "consequences", lambda found, added: {"play": found})
-    monkeypatch.setattr(what_to_measure, "what_to_measure", asked)
-    told: list[float] = []
-    found: Any = "a diagnosis"
-    done = what_to_measure.conclude(found, progress=lambda what, share: told.append(share))
-    assert done.advice is advice and done.changes == {"play": found}
-    assert told == pytest.approx([0.7, 0.8, 0.9, 1.0])

@@ -3,8 +3,8 @@
 
 from functools import cache
 
+from machine_tool_calibration.budget.complete import Conclusions, conclude
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec
 
 from ..diagnosed import diagnosed

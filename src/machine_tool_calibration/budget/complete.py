@@ -6,7 +6,7 @@ uncertainty everywhere. Without one it is what the readings show, which their wo
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR
 from machine_tool_calibration.coverage import K
+from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.diagnose import diagnose as look_for_effects
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
@@ -24,13 +25,24 @@ from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.iso230_2 import of_diagonals
 from machine_tool_calibration.model.result import Identified, Result
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
-from machine_tool_calibration.planning.what_to_measure import conclude as conclude_from
+from machine_tool_calibration.planning.what_to_measure import Advice, what_to_measure
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 
 Either = TypeVar("Either", bound=Identified)
+
+SEARCH = 0.7
+"""Share of the whole time that the diagnosis itself takes."""
+_CHANGES = 0.1
+
+
+@dataclass(frozen=True)
+class Conclusions:
+    """What follows from a diagnosis."""
+
+    changes: Mapping[str, Consequence]  # what the candidates would change in the readings and in the map, by effect
+    advice: Advice  # what to measure next
 
 
 def declared_contributors(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
@@ -65,7 +77,11 @@ def conclude(
     def added(fitted: FittedSessions) -> Mapping[str, float]:
         return _of_unknowns(propagate(fitted, lines, seed=seed)) if lines else {}
 
-    return conclude_from(found, progress=progress, added=added)
+    progress("what the candidates would change", SEARCH)
+    changes = consequences(found, added=added)
+    done = SEARCH + _CHANGES
+    advice = what_to_measure(found, progress=lambda what, share: progress(what, done + (1.0 - done) * share))
+    return Conclusions(changes, advice)
 
 
 def completed_steps(done: Improvement, contributors: Sequence[Contributor], seed: int = 1) -> Improvement:

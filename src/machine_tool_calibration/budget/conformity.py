@@ -17,7 +17,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.budget import published
-from machine_tool_calibration.budget.propagate import Budget, Progress, coverage_factor, draw_readings
+from machine_tool_calibration.budget.propagate import Budget, coverage_factor, draw_readings
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
@@ -25,7 +25,7 @@ from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import only_if_right
-from machine_tool_calibration.progress import untold
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
 

@@ -12,7 +12,7 @@ more than one the other way, or a larger one by more than in proportion: they ar
 values, and the mean square counts. What differs from reading to reading or run to run is in what the runs scatter.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,12 +27,10 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import changed, covariance_of, declared
-from machine_tool_calibration.progress import untold
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
-
-Progress = Callable[[str, float | None], None]
 
 KNOWN = "known besides the readings"
 """Line for what the fit itself takes for known with an uncertainty, such as positions of stations or a length."""

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.shared import FILE, PATH, bar, note, options, session_labels
+from machine_tool_calibration.cli.shared import FILE, PATH, Progress, bar, note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.progress import untold
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.budget.propagate import Progress
     from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.reports.identification import Measured

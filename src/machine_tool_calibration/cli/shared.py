@@ -29,11 +29,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-    from machine_tool_calibration.budget.propagate import Progress
     from machine_tool_calibration.interface.show import Answer
     from machine_tool_calibration.session.provenance import Provenance
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+Progress = Callable[[str, float | None], None]
+"""Is told what is being done, and which share of it is done, from 0 to 1; None where that is not known."""
 
 
 def options(*several: Callable[[Any], Any]) -> Callable[[Command], Command]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -103,6 +103,23 @@ def common_shape(
         return grid[best], sizes[best]
     shape = (float(found.x),)
     return shape, of([shape])[1][0]
+
+
+def shape_of(effect: Effect, term: Term, observations: Observations, known: Mapping[str, float]) -> tuple[float, ...]:
+    """Nonlinear coefficients of an effect in a model: as `known` by name, or those whose columns its term has."""
+    found = [known.get(f"{effect.id}.{shape.name}") for shape in effect.shapes]
+    if all(value is not None for value in found):
+        return tuple(value for value in found if value is not None)
+    rows = {p.name: row for p, row in zip(term.parameters, term.columns, strict=True)}
+
+    def unlike(tried: tuple[float, ...]) -> tuple[int, float]:
+        """How many columns less they have in common, and how far these are apart."""
+        names = [f"{effect.id}.{c.name}" for c in effect.coefficients_for(observations, tried)]
+        pairs = zip(names, effect.columns(observations, tried), strict=True)
+        apart = [float(np.linalg.norm(own - rows[name])) for name, own in pairs if name in rows]
+        return -len(apart), sum(apart)
+
+    return min(effect.shape_grid(observations), key=unlike)
 
 
 def within_grid(shape: tuple[float, ...], grid: Sequence[tuple[float, ...]]) -> tuple[float, ...]:

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import shape_of
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Kind, Term
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations, first_states
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.catalogue import spec_of
@@ -78,8 +79,8 @@ def displacement(effect: Effect, fit: Fit) -> Array:
         for parameter, value, good in zip(fit.model.parameters, fit.theta, fit.determined, strict=True)
         if good and parameter.kind is Kind.EFFECT and parameter.owner == effect.id
     }
-    shape = _shape(effect, term, observations, known)
-    size = _sizes(effect, observations, shape, known)
+    shape = shape_of(effect, term, observations, known)
+    size = np.array([known.get(f"{effect.id}.{c.name}", 0.0) for c in effect.coefficients_for(observations, shape)])
     for j in range(3):
         along, across = np.tile(np.eye(3)[j], (len(observations), 1)), np.zeros((len(observations), 3))
         turned = None if observations.rotation_direction is None else across
@@ -87,26 +88,6 @@ def displacement(effect: Effect, fit: Fit) -> Array:
             look = replace(observations, direction=tool, table_direction=table, rotation_direction=turned)
             out[:, j] += sign * (size @ effect.columns(look, shape))
     return out
-
-
-def _sizes(effect: Effect, observations: Observations, shape: tuple[float, ...], known: dict[str, float]) -> Array:
-    return np.array([known.get(f"{effect.id}.{c.name}", 0.0) for c in effect.coefficients_for(observations, shape)])
-
-
-def _shape(effect: Effect, term: Term, observations: Observations, known: dict[str, float]) -> tuple[float, ...]:
-    """The nonlinear coefficients: as published, or those of the search whose columns are the model's."""
-    found = [known.get(f"{effect.id}.{s.name}") for s in effect.shapes]
-    shape = tuple(value for value in found if value is not None)
-    if len(shape) == len(found):
-        return shape
-    linear = np.array([known.get(p.name, 0.0) - p.reference for p in term.parameters])
-    read = linear @ term.columns
-
-    def misfit(tried: tuple[float, ...]) -> float:
-        size = _sizes(effect, observations, tried, known)
-        return float(np.linalg.norm(size @ effect.columns(observations, tried) - read))
-
-    return min(effect.shape_grid(observations), key=misfit)
 
 
 def _directions(observations: Observations) -> Array:

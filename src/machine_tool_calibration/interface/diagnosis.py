@@ -10,13 +10,12 @@ from typing import Any
 
 import pandas as pd
 
-from machine_tool_calibration.budget.complete import conclude
+from machine_tool_calibration.budget.complete import Conclusions, conclude
 from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.compare import JointComparison, one_below_the_other
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Answer, chosen, listed, notebook, printed
-from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.compare import draw_setups, figures
 from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
 from machine_tool_calibration.plots.style import Figure

@@ -18,7 +18,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
-from machine_tool_calibration.budget.propagate import Progress, propagate
+from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import check_names
 from machine_tool_calibration.budget.tolerances import tolerance
 from machine_tool_calibration.diagnosis.compare import compare, one_below_the_other, residual_table
@@ -41,7 +41,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import Figure, save
-from machine_tool_calibration.progress import untold
+from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.identification import Measured, result_parts
 from machine_tool_calibration.reports.quantities import quantity, rounded

@@ -30,7 +30,6 @@ from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.ros.messages import Level, cloud, dated, point, status
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.progress import Progress
 from machine_tool_calibration.reports.comparison import comparison_document
@@ -260,7 +259,7 @@ def diagnosed(request: Request, progress: Progress) -> Outcome:
 
 def improved(request: Request, progress: Progress) -> Outcome:
     """Diagnose, accept what is found, and identify again: all of both, and the document `mtcal-improvement/1`."""
-    steps = complete.improve(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
+    steps = complete.improve(request.chosen(), progress=lambda step, share: progress(step, complete.SEARCH * share))
     then = complete.conclude(steps.diagnosis, progress=progress)
     _, content, messages = _diagnosis(request, steps.diagnosis, then)
     first, last = steps.steps[0], steps.steps[-1]
@@ -310,7 +309,9 @@ def _residual_fields(result: Result) -> dict[str, Array]:
     }
 
 
-def _diagnosis(request: Request, found: Diagnosis, then: Conclusions) -> tuple[str, Mapping[str, Any], dict[str, Any]]:
+def _diagnosis(
+    request: Request, found: Diagnosis, then: complete.Conclusions
+) -> tuple[str, Mapping[str, Any], dict[str, Any]]:
     """The verdict in sentences, the document's content, and the messages."""
     words = " ".join((*verdict_words(found, then.changes, then.advice), next_step(found, then.advice)))
     content = diagnosis_document(found, then.advice, then.changes)

@@ -7,16 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Added, Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import shape_of
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.dominant import Dominant, left_with, limits_of, with_remedies
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.planning.sensing import Sensed, SizedEffect, sense
@@ -87,28 +85,9 @@ def present_effects(diagnosis: Diagnosis) -> list[SizedEffect]:
     fit = diagnosis.fits[0].fits[0]
     known = diagnosis.chosen.known
     values = {p.name: float(p.reference + v) for p, v in zip(fit.model.parameters, fit.theta, strict=True)}
-    out = []
-    for term in fit.model.terms:
-        if term.name not in known or not all(p.kind is Kind.EFFECT for p in term.parameters):
-            continue
-        names = {p.name for p in term.parameters}
-        effect = known[term.name]
-        shape = _shape(effect, values, names, fit.model.observations)
-        if shape is not None:
-            out.append(SizedEffect(effect, shape, {}))
-    return out
-
-
-def _shape(
-    effect: Effect, values: dict[str, float], names: set[str], observations: Observations
-) -> tuple[float, ...] | None:
-    """Nonlinear coefficients of an effect that a model holds; those that are chosen from a list by their number."""
-    if all(f"{effect.id}.{shape.name}" in values for shape in effect.shapes):
-        return tuple(values[f"{effect.id}.{shape.name}"] for shape in effect.shapes)
-    for tried in effect.shape_grid(observations):
-        if {f"{effect.id}.{c.name}" for c in effect.coefficients_for(observations, tried)} == names:
-            return tried
-    return None
+    terms = [t for t in fit.model.terms if t.name in known and all(p.kind is Kind.EFFECT for p in t.parameters)]
+    shapes = (shape_of(known[term.name], term, fit.model.observations, values) for term in terms)
+    return [SizedEffect(known[term.name], shape, {}) for term, shape in zip(terms, shapes, strict=True)]
 
 
 _HARDLY = 0.1  # share of its norm outside the model below which an effect is hardly visible
@@ -250,25 +229,3 @@ def _alike(group: Sequence[str], sensed: Sensed) -> float:
 
 def _apart(group: Sequence[str], sensed: Sensed) -> float:
     return min(sensed.apart(group[0], other) for other in group[1:])
-
-
-SEARCH = 0.7
-"""Share of the whole time that the diagnosis itself takes."""
-_CHANGES = 0.1
-
-
-@dataclass(frozen=True)
-class Conclusions:
-    """What follows from a diagnosis."""
-
-    changes: Mapping[str, Consequence]  # what the candidates would change in the readings and in the map, by effect
-    advice: Advice  # what to measure next
-
-
-def conclude(found: Diagnosis, *, progress: Progress, added: Added = lambda fitted: {}) -> Conclusions:
-    """What follows from a diagnosis; `progress` begins at `SEARCH`, and sizes are told with the uncertainty `added`."""
-    progress("what the candidates would change", SEARCH)
-    changes = consequences(found, added)
-    done = SEARCH + _CHANGES
-    advice = what_to_measure(found, progress=lambda what, share: progress(what, done + (1.0 - done) * share))
-    return Conclusions(changes, advice)

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from machine_tool_calibration.budget.complete import completed, completed_steps, conclude, declared_contributors
+from machine_tool_calibration.budget.complete import (
+    SEARCH,
+    Conclusions,
+    completed,
+    completed_steps,
+    conclude,
+    declared_contributors,
+)
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
@@ -14,7 +21,6 @@ from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.session.contributor import Contributor

@@ -5,13 +5,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.budget.complete import Conclusions
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Absorbed
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.planning.what_to_measure import Advice, Conclusions, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import Advice, alias_groups_of
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import (

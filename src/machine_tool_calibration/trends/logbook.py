@@ -38,19 +38,6 @@ _PATIENCE = 30.0
 _COLUMNS = (
     "machine", "date", "instrument", "label", "sha256", "software", "result", "sizes", "description", "readings",
 )  # fmt: skip
-_TABLES = f"""
-CREATE TABLE IF NOT EXISTS entries (
-    number INTEGER PRIMARY KEY,
-    {", ".join(f"{name} TEXT NOT NULL" for name in _COLUMNS)},
-    entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
-);
-CREATE TRIGGER IF NOT EXISTS no_update BEFORE UPDATE ON entries
-    BEGIN SELECT RAISE(ABORT, 'entries are never changed'); END;
-CREATE TRIGGER IF NOT EXISTS no_delete BEFORE DELETE ON entries
-    BEGIN SELECT RAISE(ABORT, 'entries are never removed'); END;
-PRAGMA application_id = {_APPLICATION};
-PRAGMA user_version = {_VERSION};
-"""
 
 
 def _table(name: str, row: str, columns: str) -> str:
@@ -64,6 +51,10 @@ CREATE TRIGGER IF NOT EXISTS {row}_stays BEFORE DELETE ON {name}
 """
 
 
+_ENTRIES = _table(
+    "entries", "entry", f"number INTEGER PRIMARY KEY, {', '.join(f'{name} TEXT NOT NULL' for name in _COLUMNS)}"
+)
+_TABLES = f"{_ENTRIES}PRAGMA application_id = {_APPLICATION};\nPRAGMA user_version = {_VERSION};\n"
 # Which a logbook has from the first line in them on.
 _WITHDRAWALS = _table("withdrawals", "withdrawal", "number INTEGER PRIMARY KEY, why TEXT NOT NULL")
 _DIAGNOSES = _table("diagnoses", "diagnosis", "sha256 TEXT PRIMARY KEY, document TEXT NOT NULL")

@@ -2,7 +2,7 @@
 """What one measurement states of the machine, so that it can be held against another one of the same machine."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,7 +47,7 @@ class Size:
     unit: str  # SI
 
 
-def sizes_of(result: Result | JointResult, progress: Callable[[str, float | None], None] = untold) -> tuple[Size, ...]:
+def sizes_of(result: Result | JointResult, progress: Progress = untold) -> tuple[Size, ...]:
     """All sizes that a result determines, with an uncertainty."""
     fitted = fitted_sessions(result)
     found = conformity(fitted, dict.fromkeys(_FIGURES, _ANY), progress=progress)
