@@ -237,17 +237,11 @@ def _single(points: Array, error: Array, uncertainty: Array) -> tuple[Array, Arr
     values = np.concatenate([error, uncertainty], axis=1).astype(float)
     if len(first) == len(points):
         return points, values
-    inverse = inverse.ravel()
-    count = np.bincount(inverse)
-    out = np.empty((len(first), 6))
-    low, high, worst = (np.full((len(first), 3), fill) for fill in (np.inf, -np.inf, -np.inf))
-    np.minimum.at(low, inverse, error)
-    np.maximum.at(high, inverse, error)
-    np.maximum.at(worst, inverse, uncertainty)
-    for j in range(3):
-        out[:, j] = np.bincount(inverse, error[:, j]) / count
-    out[:, 3:] = np.sqrt(worst**2 + ((high - low) / 2) ** 2)
-    return points[first], out
+    order, count = np.argsort(inverse.ravel(), kind="stable"), np.bincount(inverse.ravel())
+    begins = np.cumsum(count) - count
+    total, low, high = (each.reduceat(error[order], begins) for each in (np.add, np.minimum, np.maximum))
+    spread = np.hypot(np.maximum.reduceat(uncertainty[order], begins), (high - low) / 2)
+    return points[first], np.concatenate([total / count[:, None], spread], axis=1)
 
 
 def _distinct(values: Array) -> Array:

@@ -89,12 +89,12 @@ def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
 
 @dataclass(frozen=True)
 class PartColumns:
-    """A part's columns over the declared uncertainty, at shared and own unknowns; the points' own projected off."""
+    """A part's columns over the declared uncertainty, at shared and own unknowns."""
 
     places: IntArray  # (k,) of the unknowns that it sees
     columns: Array  # (k + 1, n) their columns and, last, the residual
-    # by group of points (S, n) places of their readings, -1 for none, and (d, S, n) orthonormal columns of their own
-    # unknowns
+    # by group of points (S, n) places of their readings, -1 for none, and (d, S, n) columns of their own unknowns,
+    # orthonormal ones where these are projected off
     points: tuple[tuple[IntArray, Array], ...]
 
     def without_points(self, columns: Array) -> Array:
@@ -108,8 +108,8 @@ class PartColumns:
         return out
 
 
-def columns_without_points(part: Part, theta: Array, local: Array) -> PartColumns:
-    """Those of a part at shared unknowns (m,) and its points' own."""
+def part_columns(part: Part, theta: Array, local: Array) -> PartColumns:
+    """Those of a part at shared unknowns (m,) and its points' own, as they are."""
     places = [part.columns(group) for group in range(len(part.groups))]
     used = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *places]))
     columns, points = np.zeros((len(used) + 1, part.n_readings)), list[tuple[IntArray, Array]]()
@@ -127,9 +127,15 @@ def columns_without_points(part: Part, theta: Array, local: Array) -> PartColumn
         there = layout.rows >= 0
         columns[:, layout.rows[there]] = own[:, there]
         if part.dimension:
-            points.append((layout.rows, orthonormal(rows.local)))
-    raw = PartColumns(used, columns, tuple(points))
-    return replace(raw, columns=raw.without_points(columns))
+            points.append((layout.rows, rows.local))
+    return PartColumns(used, columns, tuple(points))
+
+
+def columns_without_points(part: Part, theta: Array, local: Array) -> PartColumns:
+    """The same with the points' own unknowns projected off."""
+    raw = part_columns(part, theta, local)
+    units = replace(raw, points=tuple((rows, orthonormal(own)) for rows, own in raw.points))
+    return replace(units, columns=units.without_points(raw.columns))
 
 
 def is_small(part: Part) -> bool:

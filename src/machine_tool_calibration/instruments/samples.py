@@ -92,9 +92,7 @@ class Recent:
 
 def is_steady(path: Array, tolerance: float) -> bool:
     """Whether the means of a window's quarters agree within a tolerance, m: noise averages out, motion does not."""
-    if len(path) < _PARTS:
-        return bool(np.ptp(path) <= tolerance)
-    means = [part.mean() for part in np.array_split(path, _PARTS)]
+    means = [part.mean() for part in np.array_split(path, min(_PARTS, len(path)))]
     return bool(np.ptp(means) <= tolerance)
 
 

@@ -117,18 +117,19 @@ def best_plan(
     progress("what every candidate tells", 0.0)
     candidates, points, complete = all_candidates(offered, assumed, told)
     judge = _Forecasts(offered, candidates, assumed, told)
-
-    def at_first(what: str, share: float) -> None:
-        progress(what, _SEARCH * share)
-
-    def later(what: str, share: float) -> None:
-        progress(what, _SEARCH + (1 - _SEARCH) * share)
-
-    found = search(offered, candidates, seed=seed, possible=judge.allows, progress=at_first)
+    found = search(
+        offered,
+        candidates,
+        seed=seed,
+        possible=judge.allows,
+        progress=lambda what, share: progress(what, _SEARCH * share),
+    )
     lowest = 0.0
     if not found.stopped:
         with suppress(KeyboardInterrupt):
-            lowest = bound(offered, candidates, found, progress=later)
+            lowest = bound(
+                offered, candidates, found, progress=lambda what, share: progress(what, _SEARCH + (1 - _SEARCH) * share)
+            )
     present, allowed = offered.present, offered.duration(offered.present) <= offered.seconds
     finalists = found.finalists or ((found.choice,) if found.stopped else ())
     if not (finalists or allowed):

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.reduction import part_columns
 from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.model.fit import JointFit, declared
@@ -262,20 +263,12 @@ def _inverses(local: Array) -> tuple[Array, IntArray]:
 
 def _rows(part: Part, theta: Array, local: Array, size: int) -> tuple[Array, Array, IntArray]:
     """(n, m) weighted columns of the shared unknowns, (n, d) of the point's own, and (n,) the point."""
-    shared = np.zeros((part.n_readings, size))
-    own = np.zeros((part.n_readings, part.dimension))
+    found = part_columns(part, theta, local)
+    shared, own = np.zeros((part.n_readings, size)), np.zeros((part.n_readings, part.dimension))
+    shared[:, found.places] = found.columns[:-1].T
+    for rows, columns in found.points:
+        own[rows[rows >= 0]] = columns[:, rows >= 0].T
     point = part.point_of_reading() if part.dimension else np.zeros(part.n_readings, dtype=np.int64)
-    for group, layout in enumerate(part.groups):
-        slots, n = layout.rows.shape
-        rows = part.rows(group, slice(0, n), theta, local)
-        for slot in range(slots):
-            there = layout.rows[slot] >= 0
-            reading = layout.rows[slot][there]
-            for column, place in zip(rows.dense, part.dense_index, strict=True):
-                shared[reading, place] += column[slot][there]
-            for column, place in zip(rows.block, part.block_index[layout.block[slot]], strict=True):
-                shared[reading, place] += column[slot][there]
-            own[reading] = rows.local[:, slot][:, there].T
     return shared, own, point
 
 

@@ -131,8 +131,6 @@ def _own_change(effect: Effect, model: MethodModel) -> Array | None:
     """The effect's formula in the middle of its plausible ranges, scaled to the amplitude."""
     observations = model.observations
     grid = effect.shape_grid(observations)
-    if not grid:
-        return None
     shape = grid[len(grid) // 2]
     sizes = [(c.low + c.high) / 2 or c.high for c in effect.coefficients_for(observations, shape)]
     change = np.asarray(sizes) @ effect.columns(observations, shape)

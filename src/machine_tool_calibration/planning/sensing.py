@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, inverse_root, last_sign
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, inverse_root, last_sign, rms
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation import priors
@@ -247,14 +247,7 @@ def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _signal(assumed: SizedEffect, observations: Observations) -> Array:
-    names = [c.name for c in assumed.effect.coefficients_for(observations, assumed.shape)]
-    known = assumed.size
-    out = np.zeros(len(names))
-    for k, name in enumerate(names):
-        if name in known:
-            out[k] = known[name]
-            continue
-        # A coefficient of a new setup is as large as those of the others.
-        alike = [value for other, value in known.items() if other.split(".")[-1] == name.split(".")[-1]]
-        out[k] = float(np.sqrt(np.mean(np.square(alike)))) if alike else 0.0
-    return out
+    names, known = (c.name for c in assumed.effect.coefficients_for(observations, assumed.shape)), assumed.size
+    # A coefficient of a new setup is as large as those of the others.
+    alike = {name: [known[n] for n in known if n.split(".")[-1] == name.split(".")[-1]] for name in names}
+    return np.array([known.get(name, rms(np.array(sizes))) for name, sizes in alike.items()])
