@@ -4,7 +4,8 @@
 from pathlib import Path
 from typing import Any
 
-from machine_tool_calibration.importing import Imported, import_table, parse_mapping
+from machine_tool_calibration.importing.build import Imported, import_table
+from machine_tool_calibration.importing.mapping import parse_mapping
 
 DATA = Path(__file__).parents[1] / "data" / "foreign"
 SESSION = {"machine": {"chain": "w-Y-X-b-Z-t"}, "standard_uncertainty": "1um"}

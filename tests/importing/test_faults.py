@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.importing import import_table, parse_mapping
+from machine_tool_calibration.importing.build import import_table
+from machine_tool_calibration.importing.mapping import parse_mapping
 
 from .tables import GOOD, RUNS, SESSION, WIDE, points, read
 

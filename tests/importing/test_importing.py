@@ -10,7 +10,8 @@ import pytest
 
 from machine_tool_calibration.arrays import best_motion
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.importing import import_table, parse_mapping, read_mapping
+from machine_tool_calibration.importing.build import import_table
+from machine_tool_calibration.importing.mapping import parse_mapping, read_mapping
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.units import quantity, si_values
 

@@ -10,8 +10,8 @@ import yaml
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.importing import import_table, parse_mapping
-from machine_tool_calibration.importing.mapping import ROLES, Mapping
+from machine_tool_calibration.importing.build import import_table
+from machine_tool_calibration.importing.mapping import ROLES, Mapping, parse_mapping
 from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.units import UNITS as KNOWN_UNITS

@@ -20,7 +20,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part, TextTable
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.importing import Imported
+    from machine_tool_calibration.importing.build import Imported
     from machine_tool_calibration.session.session import Session
 
 _FIRST = 6  # readings that are shown
@@ -241,7 +241,8 @@ def command(
             raise CalibrationError(f"{path}: no such file or folder")
     imported = own = None
     if foreign["table"] is not None or foreign["mapping"] is not None:
-        from machine_tool_calibration.importing import import_table, parse_mapping
+        from machine_tool_calibration.importing.build import import_table
+        from machine_tool_calibration.importing.mapping import parse_mapping
 
         content, name = _mapping_from(foreign, description)
         imported = import_table(sources, parse_mapping(content, name), name=setup_name)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A foreign table and its mapping to a session in memory."""
 
+from collections import abc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,15 +113,12 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
     """The rows of several tables, in the order of time where that was stamped, and (n, 2) table and row of each."""
     lengths = [len(part.row) for part in parts]
     origin = np.column_stack([np.repeat(np.arange(len(parts)), lengths), np.concatenate([part.row for part in parts])])
-    sized = list(zip(parts, lengths, strict=True))
-    numbers = {
-        name: np.concatenate([part.numbers.get(name, np.full(n, np.nan)) for part, n in sized])
-        for name in dict.fromkeys(name for part in parts for name in part.numbers)
-    }
-    labels = {
-        name: np.concatenate([part.labels.get(name, np.full(n, "")) for part, n in sized])
-        for name in dict.fromkeys(name for part in parts for name in part.labels)
-    }
+
+    def together(each: Sequence[abc.Mapping[str, np.ndarray]], lacking: object) -> dict[str, np.ndarray]:
+        names, sized = dict.fromkeys(name for own in each for name in own), list(zip(each, lengths, strict=True))
+        return {name: np.concatenate([own.get(name, np.full(n, lacking)) for own, n in sized]) for name in names}
+
+    numbers, labels = together([part.numbers for part in parts], np.nan), together([part.labels for part in parts], "")
     setups: dict[str, tuple[str, object]] = {}
     for part, source in zip(parts, (columns.table.source for columns in read), strict=True):
         for entry in part.description.get("setups", ()):  # type: ignore[attr-defined]

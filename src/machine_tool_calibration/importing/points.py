@@ -229,8 +229,7 @@ def range_rows(columns: Columns) -> Rows:
     numbers: dict[str, Array] = {axis: columns.filled(axis) for axis in moved}
     columns.check_origin(() if rotary else moved)
     numbers |= {} if rotary else {axis: values + columns.origin(axis) for axis, values in numbers.items()}
-    named = [*(["target"] if rotary else ()), *(["point"] if columns.has("point") else ())]
-    labels: dict[str, np.ndarray] = {"setup": stations} | {name: columns.text(name) for name in named}
+    labels = {"setup": stations} | {name: columns.text(name) for name in ("target", "point") if columns.has(name)}
     notes: list[str] = []
     if columns.has("time"):
         numbers["time"] = columns.number("time")

@@ -39,11 +39,7 @@ class Check(Answer, Checked):
             "format": "mtcal-check/1",
             "map": self.earlier,
             "measurement": self.now,
-            "since": self.since,
-            "until": self.until,
-            "holds": self.holds,  # None: open
-            "scatter": self.scatter,
-            "contradicted": self.contradicted,
+            **picked(self, "since", "until", "holds", "scatter", "contradicted"),  # holds: None is open
             "verdict": check_verdict(self),
             "level": LEVEL,
             "rule": "holm",

@@ -63,11 +63,6 @@ class Searched:
     tried: int  # how many plans were looked at
     stopped: bool  # whether the search was stopped before it came to its end
 
-    @property
-    def largest(self) -> float:
-        """Largest standard uncertainty."""
-        return float(np.sqrt(self.variances.max()))
-
 
 class _Judge:
     """Plans judged by their numbers; each plan once."""

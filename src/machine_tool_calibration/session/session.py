@@ -216,15 +216,10 @@ def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
     """Refuse (SessionError) a measurement that is given twice: its readings would count as independent ones."""
     named = zip(labels, (session.readings for session in sessions), strict=True)
     for (one, first), (other, second) in itertools.combinations(named, 2):
-        if len(first) >= ENOUGH_TO_DIFFER and _are_same(first, second):
+        both = first.columns.keys() & second.columns.keys()
+        pairs = [(first.displacement, second.displacement), *((first.columns[n], second.columns[n]) for n in both)]
+        if len(first) >= ENOUGH_TO_DIFFER and all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
             raise SessionError(f"{one} and {other} are the same readings; give each measurement once")
-
-
-def _are_same(first: Readings, second: Readings) -> bool:
-    if len(first) != len(second) or not np.array_equal(first.displacement, second.displacement, equal_nan=True):
-        return False
-    both = first.columns.keys() & second.columns.keys()
-    return all(np.array_equal(first.columns[name], second.columns[name], equal_nan=True) for name in both)
 
 
 def distinct_places(position: Array) -> tuple[IntArray, IntArray]:

@@ -213,12 +213,9 @@ def read_table(path: Path) -> Table:
 
 def _by_rows(path: Path, layout: Layout) -> Iterator[tuple[str, list[str] | Array]]:
     """The columns of a small file, as text; what is missing is empty."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            lines = csv.reader(stream, strict=True, skipinitialspace=True)
-            rows = [row for row in lines if any(field.strip() for field in row) or len(row) > 1][1:]
-    except (csv.Error, OSError) as error:
-        raise SessionError(f"{layout.source}: cannot be read as a table: {error}") from None
+    with reading(path), path.open(encoding="utf-8-sig", newline="") as stream:
+        lines = csv.reader(stream, strict=True, skipinitialspace=True)
+        rows = [row for row in lines if any(field.strip() for field in row) or len(row) > 1][1:]
     _check_rows(layout, len(rows))
     for name, column in zip(layout.columns, zip(*rows, strict=True), strict=True):
         yield name, _plain(column)
