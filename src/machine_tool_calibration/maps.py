@@ -129,13 +129,10 @@ def error_map_from_message(message: Any, *, flat_tolerance: float = 1e-6) -> Pos
     row_step = int(message.row_step) if height > 1 else width * step
     if row_step < width * step or len(data) < (height - 1) * row_step + width * step:
         raise CalibrationError(f"the error map's {len(data)} bytes are too few for {width * height} points")
-    order = ">" if message.is_bigendian else "<"
-    columns = []
-    for name in FIELDS:
-        place = int(offsets[name].offset)
-        column = np.ndarray((height, width), f"{order}f8", data, place, (row_step, step))
-        columns.append(np.asarray(column, dtype=float).ravel())
-    rows = np.column_stack(columns)
+    number = f"{'>' if message.is_bigendian else '<'}f8"
+    places = (int(offsets[name].offset) for name in FIELDS)
+    columns = (np.ndarray((height, width), number, data, place, (row_step, step)) for place in places)
+    rows = np.column_stack([np.asarray(column, dtype=float).ravel() for column in columns])
     return error_map_from_points(
         rows[:, :3], rows[:, 3:6], rows[:, 6:], frame=str(message.header.frame_id), flat_tolerance=flat_tolerance
     )

@@ -94,11 +94,6 @@ class _Figure:
     signed: bool  # whether the tolerance is for its absolute value
 
 
-def unit_of_figure(name: str) -> str:
-    """Unit of a figure by its name: rad for an angular error motion and a squareness, else m."""
-    return "m" if name == VOLUMETRIC else published.unit_of(name)
-
-
 def decide(value: float, tolerance: float, probability: float, rule: str, level: float) -> str:
     """Pass, fail or undecided, by a measured value (absolute of what has a sign) and the probability of conformity.
 
@@ -170,7 +165,7 @@ class _Conformity:
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
-        nothing = _Figure(name, unit_of_figure(name), np.zeros(0, dtype=np.int64), None, signed=False)
+        nothing = _Figure(name, published.unit_of(name), np.zeros(0, dtype=np.int64), None, signed=False)
         return [self.verdict(figure, tolerance, rule, level) for figure in self.figures(name) or [nothing]]
 
     def figures(self, name: str) -> list[_Figure]:

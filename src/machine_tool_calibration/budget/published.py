@@ -181,7 +181,7 @@ def _of_runs(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> I
 
 
 def unit_of(name: str) -> str:
-    """Of an error motion, a squareness or a part of a map: m, or rad where it is an angle."""
+    """Of an error motion, a squareness, a figure or a part of a map: m, or rad where it is an angle."""
     return "rad" if _ANGULAR.fullmatch(name) else "m"
 
 

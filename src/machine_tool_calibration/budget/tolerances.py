@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from machine_tool_calibration.budget.conformity import unit_of_figure
+from machine_tool_calibration.budget.published import unit_of
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.record import Record
@@ -52,7 +52,7 @@ def tolerance(name: str, value: float | str, source: str = "") -> float:
     """
     if isinstance(value, bool) or not isinstance(value, str | float | int):
         raise ModelError(f"{source}the tolerance of {name} must be a number or a text with its unit")
-    wanted = "angle" if unit_of_figure(name) == "rad" else "length"
+    wanted = "angle" if unit_of(name) == "rad" else "length"
     found = quantity(value, wanted, f"{source}tolerance of {name}") if isinstance(value, str) else float(value)
     if not found > 0.0:
         raise ModelError(f"{source}the tolerance of {name} must be positive, not {found:g}")

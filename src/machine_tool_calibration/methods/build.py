@@ -12,7 +12,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
-from machine_tool_calibration.session.checks.places import has_stations, misplaced
+from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.gaps import without_gaps
 from machine_tool_calibration.session.method import load
@@ -97,7 +97,7 @@ def suspicious_fits(
     found = [
         together((name, one.words), "")
         for name, fit, session in zip(named, fits, own, strict=True)
-        if has_stations(session)
+        if spec_of(session).beam_from_pointer
         for one in misplaced(session, error_map(fit).content)
     ]
     return [*suspicions(sessions or own, labels), *found]

@@ -28,7 +28,7 @@ from machine_tool_calibration.model.result import ErrorMap, effect_signal, map_r
 from machine_tool_calibration.model.widening import BESIDE, Alternatives
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.checks.places import has_stations, refuse_misplaced
+from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
@@ -303,7 +303,7 @@ def refuse_impossible(fitted: FittedSessions) -> None:
         labels = fitted.joint.assembly.labels
         _refuse_errors(sessions[0].source if len(sessions) == 1 else ", ".join(labels or ()), fitted.error_map)
     for session, fit in zip(sessions, fitted.joint.fits, strict=True):
-        if has_stations(session) and not session.description.trust_units:
+        if spec_of(session).beam_from_pointer and not session.description.trust_units:
             own = fitted.error_map if len(sessions) == 1 else error_map(fit)
             refuse_misplaced(session, own.content)
 

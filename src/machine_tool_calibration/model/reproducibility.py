@@ -26,7 +26,7 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import SAME_DIRECTION, SAME_POSITION, Observations
-from machine_tool_calibration.session.catalogue import needed_columns, spec_of
+from machine_tool_calibration.session.catalogue import spec_of
 
 DRIFT = "drift"
 """Name of the family of functions of time that all runs of a session have in common."""
@@ -142,7 +142,7 @@ def _of_runs(observations: Observations, by_order: bool) -> Iterator[Family]:
     # Readings are in the order of time, in whatever order they are given.
     order = np.argsort(clock, kind="stable")
     keys = [readings.setup, readings.repeat]
-    if "target" in needed_columns(observations.session.description):
+    if "target" in spec_of(observations.session).columns(observations.session.description):
         keys.append(readings.labels["target"])
     run = in_order_of_appearance(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)

@@ -75,14 +75,10 @@ def spec_of(session: Session) -> MethodSpec:
     return method_spec(session.description.method)
 
 
-def needed_columns(description: Description) -> tuple[str, ...]:
-    """Columns of `observations.csv` without which the method cannot work."""
-    return method_spec(description.method).columns(description)
-
-
 def require_columns(description: Description, columns: Collection[str], source: str) -> None:
     """Raise a SessionError that names the columns that are missing."""
-    needed = needed_columns(description)
+    spec = method_spec(description.method)
+    needed = spec.columns(description)
     if missing := [name for name in needed if name not in columns]:
         near = [other for name in missing for other in difflib.get_close_matches(name, columns, n=1, cutoff=0.75)]
         had = ", ".join(repr(name) for name in dict.fromkeys(near) if name not in needed)
@@ -90,5 +86,5 @@ def require_columns(description: Description, columns: Collection[str], source: 
         names = ", ".join(map(repr, missing))
         words = f"the column {names} is" if len(missing) == 1 else f"the columns {names} are"
         raise SessionError(f"{source}: {words} missing, which {description.method} needs{hint}")
-    if method_spec(description.method).any_axis and not any(axis in columns for axis in "xyzabc"):
+    if spec.any_axis and not any(axis in columns for axis in "xyzabc"):
         raise SessionError(f"{source}: no column of an axis position (x, y, z or c), which {description.method} needs")

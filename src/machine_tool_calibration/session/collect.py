@@ -153,6 +153,10 @@ class Received:
     """The readings of the session that is being measured, as messages bring them: in any order, and some twice."""
 
     def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, without readings."""
         self._readings: dict[int, Reading] = {}
         self._indices: set[int] = set()
         self._last = -1
@@ -191,13 +195,6 @@ class Received:
             self._indices.add(int(index))
             self._last = max(self._last, int(index))
         return forgotten
-
-    def forget(self) -> None:
-        """Begin anew, without readings."""
-        self._readings.clear()
-        self._indices.clear()
-        self._last = -1
-        self._origin = None
 
     @property
     def missing(self) -> int:

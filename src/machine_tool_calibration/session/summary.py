@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.catalogue import needed_columns
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
@@ -98,6 +98,6 @@ def _range(values: Any) -> tuple[float | None, float | None]:
 def _targets(session: Session) -> int:
     readings = session.readings
     for label in ("point", "target"):
-        if label in readings.labels and label in needed_columns(session.description):
+        if label in readings.labels and label in spec_of(session).columns(session.description):
             return len(np.unique(readings.labels[label]))
     return len(np.unique(np.round(readings.position(), 9), axis=0))

@@ -36,8 +36,6 @@ class Disturbance:
     point: Array | float = 0.0  # (n, 3) shift of the functional point, m
     station: Array | float = 0.0  # (n, 3) shift of the station's rotation centre, m
     turn: Array | float = 0.0  # turn of the beam's azimuth, rad
-    optical: Array | float = 0.0  # relative excess of the optical over the geometric path
-    dead: Array | float = 0.0  # excess of the optical path outside the measured one, m
     mirror: Array | float = 0.0  # (n, 2) tilt of the flat mirror's normal off the beam, left and upwards, rad
     growth: Array | float = 0.0  # relative growth of the workpiece about the table's centre
     table_radial: Array | float = 0.0  # relative growth of the table's targets away from the axis
@@ -72,8 +70,8 @@ class Disturbance:
         return np.asarray(turned + self.table_shift)
 
     def added(self, sight: Sight) -> Array:
-        """(n,) the sum of what is added to the reading, m: excess of the optical path and the rest."""
-        return sum((function(sight) for function in self.reading), self.optical * sight.path + self.dead)
+        """(n,) the sum of what is added to the reading, m."""
+        return sum((function(sight) for function in self.reading), np.zeros(len(sight.path)))
 
 
 def combine(parts: tuple[Disturbance, ...]) -> Disturbance:

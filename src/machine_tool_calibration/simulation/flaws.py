@@ -132,9 +132,9 @@ _COLD = {"reference": 20.0}
 
 READING_FLAWS: tuple[Flaw, ...] = (
     # the wavelength is not compensated, or wrongly: this share of the air's deviation stays
-    Flaw("refractive_index", f"{_AIR} * path", "1", 1.0, lambda size, _, scene: Disturbance(optical=size * _air(scene)),
-         methods=BEAM),
-    Flaw("dead_path", _AIR, "m", 1.0, lambda size, _, scene: Disturbance(dead=size * _air(scene)), methods=BEAM),
+    Flaw("refractive_index", f"{_AIR} * path", "1", 1.0,
+         reads(lambda size, _, scene, sight: size * _air(scene) * sight.path), methods=BEAM),
+    Flaw("dead_path", _AIR, "m", 1.0, reads(lambda size, _, scene, sight: size * _air(scene)), methods=BEAM),
     Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, reads(lambda size, _, scene, sight: size * scene.time)),
     Flaw("station_drift", _SETTLES, "m/s", 1e-8, _station_drift, {"vertical": 1.0}, drawn_seed, STATIONS),
     Flaw("mirror_misalignment", _TILTED, "rad", 1e-3, _mirror, draw=drawn_seed, methods=("step_diagonal",)),

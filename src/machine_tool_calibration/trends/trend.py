@@ -11,7 +11,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.budget.conformity import VOLUMETRIC, unit_of_figure
+from machine_tool_calibration.budget.conformity import VOLUMETRIC
+from machine_tool_calibration.budget.published import unit_of
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.marginal import log_size_prior
@@ -315,7 +316,7 @@ def trend(entries: Sequence[Entry], limits: Mapping[str, float] | None = None) -
         if name not in names:
             known = did_you_mean(name, names) or f"; there are {', '.join(names)}"
             raise ModelError(f"no session has {name!r}{known}")
-        if names[name] != unit_of_figure(name):
+        if names[name] != unit_of(name):
             raise ModelError(f"{name} is in {names[name]}: limits are for errors in m and squareness in rad")
     ways = _ways(entries)
     courses = [_course(name, entries, ways, len(names), limits.get(name)) for name in names]

@@ -5,7 +5,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true, groups, occurrence
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.catalogue import needed_columns, spec_of
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.mistakes import check_consistency, refuse_contradictions
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.description import Place
@@ -44,7 +44,7 @@ def _check_missing(session: Session, place: Place) -> None:
         raise SessionError(f"{place.readings}: no reading: every displacement is missing")
     empty = {name: ~np.isfinite(values) for name, values in readings.columns.items()}
     empty |= {name: values == "" for name, values in readings.labels.items()}
-    for name in needed_columns(session.description):
+    for name in spec_of(session).columns(session.description):
         bad = first_true(measured & empty[name]) if name in empty else None
         if bad is not None:
             raise SessionError(f"{place.row(readings.row[bad])}: {name} is missing where a displacement was read")

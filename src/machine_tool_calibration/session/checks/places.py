@@ -10,7 +10,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.description import StationSetup
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures, say
 
@@ -39,11 +38,6 @@ class Misplaced:
         known = say("suspicion.known", size=figures(1e3 * self.declared)) if self.declared else say("suspicion.unknown")
         what, off = say(f"suspicion.{self.what}"), figures(1e3 * self.off)
         return say("suspicion.elsewhere", what=what, id=repr(self.id), off=off, known=known, along=self.along)
-
-
-def has_stations(session: Session) -> bool:
-    """Whether it states where its instrument stood."""
-    return any(isinstance(setup, StationSetup) for setup in session.description.setups)
 
 
 def allowed(session: Session, declared: float | None) -> float:
