@@ -99,7 +99,7 @@ def added(procedure: Procedure, site: Site, session: Session) -> Array:
 
 def measured(procedure: Procedure, site: Site) -> Session:
     """A session of the procedure with noise that depends on site, setup and repeat alone."""
-    session, steps = planned_session(procedure).session, plan(procedure).steps
+    session, steps = planned_session(procedure), plan(procedure).steps
     readings, description, spec = session.readings, session.description, method_spec(procedure.session.method)
     sigma = description.standard_uncertainty.displacement
     change = added(procedure, site, session)
@@ -118,7 +118,7 @@ def measured(procedure: Procedure, site: Site) -> Session:
 def after_each_stage(procedure: Procedure, session: Session, goal: Until) -> list[Reached]:
     """What is known after each stage, up to the one that is enough."""
     every, found = stage_of(procedure), []
-    wanted = 1 if goal.u is None else identify(FitRequest((planned_session(procedure).session,))).error_map.determined
+    wanted = 1 if goal.u is None else identify(FitRequest((planned_session(procedure),))).error_map.determined
     setup = session.readings.setup
     begin = np.flatnonzero(np.diff(setup, prepend=-1))
     for first, end in zip(begin, [*begin[1:], len(setup)], strict=True):

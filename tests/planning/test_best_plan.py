@@ -90,12 +90,10 @@ def test_a_part_of_the_candidates_is_judged_as_its_own_fit(name: str) -> None:
     candidates = _candidates(offered)
     u = np.sqrt(candidates.variances(offered.weights(chosen)))
 
-    alone = fit_models([expecting(build_model(planned_session(offered.procedure_of(chosen)).session)[0])])
+    alone = fit_models([expecting(build_model(planned_session(offered.procedure_of(chosen)))[0])])
     published = error_map(declared(alone).fits[0])
     own = published.uncertainty.reshape(-1)
-    whole = error_map(
-        declared(fit_models([expecting(build_model(planned_session(offered.procedure).session)[0])])).fits[0]
-    )
+    whole = error_map(declared(fit_models([expecting(build_model(planned_session(offered.procedure))[0])])).fits[0])
     told = np.isfinite(whole.uncertainty.reshape(-1)) & (whole.uncertainty.reshape(-1) > 0)
     wanted = np.where(np.isfinite(own), own, np.inf)[told]
     # the two are linearised where their own readings, which scatter, put stations and points
@@ -120,7 +118,7 @@ def test_stations_on_one_side_are_spread_and_the_plan_is_a_procedure(found: Best
     made = parse_procedure(found.text, "best")
     assert plan(made).duration + 100.0 * len(found.best.setups) == pytest.approx(found.best.seconds)
     # one number for one quantity: as `mtcal plan` foretells it for the file that was written
-    own = error_map(identify(planned_session(made).session).joint.fits[0]).uncertainty
+    own = error_map(identify(planned_session(made)).joint.fits[0]).uncertainty
     assert float(own[np.isfinite(own)].max()) == pytest.approx(found.best.largest, rel=1e-6)
 
 
@@ -301,10 +299,8 @@ def test_what_a_budget_says_is_in_it() -> None:
     text = _changed(session={"budget": [line, zero]})
     found = best_plan(text, "plane.yaml", Assumed(errors=shared_errors))
     assert found.complete
-    result = identify(planned_session(parse_procedure(text, "plane")).session)
-    budget = propagate(
-        fitted_sessions(result), planned_session(parse_procedure(text, "plane")).session.description.budget
-    )
+    result = identify(planned_session(parse_procedure(text, "plane")))
+    budget = propagate(fitted_sessions(result), planned_session(parse_procedure(text, "plane")).description.budget)
     own = budget.u[budget.numbers.by_name["position_error"].members]
     known = np.sqrt(np.square(own[np.isfinite(own) & (own > 0)]))
     plain = best_plan(PLANE, "plane.yaml", Assumed()).present

@@ -37,19 +37,6 @@ class Imported:
     notes: tuple[str, ...]  # what was done that the user should know
 
 
-@dataclass(frozen=True)
-class _TablePlace(Place):
-    """Messages name the file and the line."""
-
-    tables: tuple[TextTable, ...] = ()
-    origin: IntArray | None = None
-
-    def row(self, row: int) -> str:
-        assert self.origin is not None
-        table, line = (int(number) for number in self.origin[row])
-        return self.tables[table].where(line)
-
-
 def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | None = None) -> Imported:
     """Read a foreign table, or several of the same form (each with setups of its own), as a session.
 
@@ -65,7 +52,12 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     rows, origin = _joined(parts, read)
     source = str(paths[0]) if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
     description = describe(_described(rows, mapping, source), f"{source}: session")
-    place = _TablePlace(f"{source}: session", source, None, tuple(columns.table for columns in read), origin)
+
+    def where(row: int) -> str:
+        table, line = origin[row]
+        return read[table].table.where(line)
+
+    place = Place(f"{source}: session", source, where)
     require_columns(description, [*rows.numbers, *rows.labels], source)
     readings = assemble(description, rows.numbers, rows.labels, place)
     session = Session(description, readings, source=source)

@@ -58,7 +58,7 @@ def _text(file: Path, described: str, form: FileForm) -> _Columns:
                 if name in NUMERIC_COLUMNS:
                     raise
         labels[name] = table.text(name, "a column of readings")
-    return numbers, labels, Place(described, str(file), lambda row: table.lines[row])
+    return numbers, labels, Place(described, str(file), lambda row: f"{file} row {row} (line {table.lines[row]})")
 
 
 def _parquet(file: Path, described: str) -> _Columns:

@@ -331,7 +331,7 @@ class Stages:
         self._by_hand = is_mounted and not setting.simulated_time
         self._wanted = 1
         if until.u is not None:  # all that the whole procedure determines
-            planned = FitRequest((planned_session(procedure).session,), None, self._model)
+            planned = FitRequest((planned_session(procedure),), None, self._model)
             self._wanted = complete.identify(planned).error_map.determined
         self.reached: list[Reached] = []  # after each stage so far
         self._status = StatusTopic(client.node, "until", topic="until/status")

@@ -168,7 +168,7 @@ def quickest_plan(
 
 def _can_be_identified(procedure: Procedure) -> bool:
     try:
-        check_session(planned_session(procedure).session)
+        check_session(planned_session(procedure))
     except SessionError:
         return False
     return True
@@ -193,7 +193,7 @@ def all_candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tup
 
 def _foretold(procedure: Procedure, assumed: Assumed, told: Sequence[str]) -> JointFit:
     """The fit of what a procedure will read, with effects."""
-    model = build_model(planned_session(procedure, assumed.warming).session, assumed.model)[0]
+    model = build_model(planned_session(procedure, assumed.warming), assumed.model)[0]
     return fit_models([_with_effects(expecting(model, assumed.angular), find_effects(told, assumed.own))])
 
 

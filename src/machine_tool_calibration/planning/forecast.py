@@ -126,18 +126,11 @@ _OFF = 0.5  # K above 20 degrees Celsius at the start
 _MOST_READINGS = 100_000  # more than a day of stops of a second each; ten seconds of computing and less than a gigabyte
 
 
-@dataclass(frozen=True)
-class Planned:
-    """A measurement that was not made."""
-
-    session: Session  # as if it had been read: a perfect machine, and the declared uncertainty as noise
-    seconds: float  # of motion and waiting; putting up instruments comes on top
-
-
-def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
+def planned_session(procedure: Procedure, warming: float = 1.0) -> Session:
     """The session that a procedure will make, while the air warms by so many K per hour and the machine more slowly.
 
-    A SessionError if the procedure cannot be run, gives no map, or has more readings than can be forecast.
+    It is as if it had been read: of a perfect machine, with the declared uncertainty as noise. A SessionError if the
+    procedure cannot be run, gives no map, or has more readings than can be forecast.
     """
     if procedure.path.azimuth is not None:
         raise SessionError(
@@ -171,7 +164,7 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
         targets = (labels["target"].astype(str),) if "target" in labels else ()
         reading = reading - reading[first_of_group(setup, *runs, *targets)]
     readings = Readings(setup, repeat, reading, columns, labels, np.arange(len(steps)))
-    return Planned(Session(description, readings, f"procedure {procedure.name}"), made.duration)
+    return Session(description, readings, f"procedure {procedure.name}")
 
 
 _Nominal = tuple[Array, dict[str, Array], dict[str, np.ndarray]]
@@ -229,7 +222,7 @@ class Forecast(Detectable):
     """What a measurement will determine."""
 
     result: Result  # as it will be for a machine without errors: its uncertainties and gaps are those to come
-    seconds: float  # of motion and waiting
+    seconds: float  # of motion and waiting; putting up instruments comes on top
     warming: float  # K per hour that was assumed
     dominant: Dominant | None = None  # what will dominate the map's uncertainty by the sizes assumed
 
@@ -276,14 +269,15 @@ def forecast(procedure: Procedure, assumed: Assumed, progress: Progress = untold
     """
     progress("planning the steps", 0.0)
     model, warming = assumed.model, assumed.warming
-    planned = planned_session(procedure, warming)
+    session = planned_session(procedure, warming)
     progress("uncertainties", 0.2)
-    result = identify(planned.session, model=model, keep_all=True)
+    result = identify(session, model=model, keep_all=True)
     found = detectable(
         result.joint,
         [e for e in catalogue(assumed.own).values() if not e.beside],
         progress=lambda what, share: progress(what, 0.3 + 0.55 * share),
     )
     progress("what dominates", 0.85)
-    limits = dominant(planned.session, model=model, angular=assumed.angular, drift=DRIFT * abs(warming))
-    return Forecast(**vars(found), result=result, seconds=planned.seconds, warming=warming, dominant=limits)
+    limits = dominant(session, model=model, angular=assumed.angular, drift=DRIFT * abs(warming))
+    seconds = float(session.readings.columns["time"][-1])
+    return Forecast(**vars(found), result=result, seconds=seconds, warming=warming, dominant=limits)

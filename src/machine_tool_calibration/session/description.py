@@ -29,12 +29,11 @@ class Place:
 
     description: str  # what holds the description, such as the path of `session.yaml`
     readings: str  # what holds the readings, such as the path of `observations.csv`
-    line: Callable[[int], int] | None = None  # line in the file for a row, where the readings are a text file
+    where: Callable[[int], str] | None = None  # names the place of a row, where the readings are a text file
 
     def row(self, row: int) -> str:
-        """`file row 3 (line 5)`; rows count from 0, lines from 1."""
-        where = f"{self.readings} row {row}"
-        return where if self.line is None else f"{where} (line {self.line(int(row))})"
+        """`file row 3`, or as `where` says, such as `file row 3 (line 5)`; rows count from 0, lines from 1."""
+        return f"{self.readings} row {row}" if self.where is None else self.where(int(row))
 
 
 def _check_about(value: Any, where: str = "about") -> Any:

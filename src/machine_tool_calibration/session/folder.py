@@ -40,7 +40,7 @@ def read_session(path: Path, *, check: bool = True) -> Session:
     description = parse_description(read_text(described), str(described))
     table = read_table(observed)
     require_columns(description, {*table.numbers, *table.labels}, str(observed))
-    place = Place(str(described), str(observed), table.layout.line)
+    place = Place(str(described), str(observed), table.layout.where)
     session = Session(description, assemble(description, table.numbers, table.labels, place), source=str(folder))
     if check:
         check_session(session, place)
