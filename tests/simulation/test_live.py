@@ -17,7 +17,7 @@ from machine_tool_calibration.simulation import (
     simulate,
 )
 from machine_tool_calibration.simulation.flaw import Sight
-from machine_tool_calibration.simulation.scene import Environment, random_environment
+from machine_tool_calibration.simulation.scene import random_environment
 from machine_tool_calibration.simulation.sensors import sensed_path
 from machine_tool_calibration.simulation.site import LiveMachine
 
@@ -55,7 +55,7 @@ def test_live_readings_are_those_of_the_session():
         def __call__(self, time):
             return self.values[column["time"] == time[0]]
 
-    environment = Environment({name: Recorded(np.nan, values=column[name]) for name in ENVIRONMENT_COLUMNS})
+    environment = {name: Recorded(np.nan, values=column[name]) for name in ENVIRONMENT_COLUMNS}
     live = LiveMachine(plain.truth.machine, simulated.truth.effects, environment)
     path, first = [], {}
     for row in range(len(session.readings)):
@@ -120,11 +120,11 @@ def test_many_moments_at_once_are_each_alone():
 def test_environment_drifts_smoothly_and_its_rate_is_its_slope():
     environment = random_environment(np.random.default_rng(5))
     time = np.linspace(0, 5000, 5001)
-    values = environment(time)
+    values = {name: drift(time) for name, drift in environment.items()}
     for name, value in values.items():
-        rate = environment.drifts[name].rate(time)
+        rate = environment[name].rate(time)
         np.testing.assert_allclose(np.gradient(value, time)[1:-1], rate[1:-1], atol=1e-5 * np.ptp(value))
     assert 15 < values["temperature_air"].mean() < 25
-    still = random_environment(np.random.default_rng(5), swing=0.0)(time)
-    assert all(np.ptp(v) == 0 for v in still.values())
-    assert still["air_pressure"][0] == pytest.approx(101325, abs=2000)
+    still = random_environment(np.random.default_rng(5), swing=0.0)
+    assert all(np.ptp(drift(time)) == 0 for drift in still.values())
+    assert still["air_pressure"](time)[0] == pytest.approx(101325, abs=2000)

@@ -54,7 +54,7 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     description = describe(_described(rows, mapping, source), f"{source}: session")
 
     def where(row: int) -> str:
-        table, line = origin[row]
+        table, line = map(int, origin[row])
         return read[table].table.where(line)
 
     place = Place(f"{source}: session", source, where)

@@ -12,7 +12,7 @@ from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, spanned, true_errors
-from machine_tool_calibration.simulation.scene import Environment, Scene
+from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import distance
 
 _HALF_ARC = np.radians(110.0)  # circles of less than a whole turn are arcs of so much to both sides, rad
@@ -59,7 +59,7 @@ class CirclePlan(Plan):
         upwards = 0.5 * np.pi if plane.endswith("Z") else 0.0
         return np.asarray(upwards + np.linspace(-_HALF_ARC, _HALF_ARC, self.count))
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, rng: np.random.Generator) -> Measurement:
         """The measurement of a plan: plane by plane and feed by feed, in every repeat once each way round."""
         setups = [(plane, feed) for plane in self.planes for feed in self.feeds]
         circles = [
@@ -87,7 +87,7 @@ class CirclePlan(Plan):
         direction = {letter: np.where(way[:, j] < 0.0, -1.0, 1.0) for j, letter in enumerate("XYZ")}
         unit = arm / self.radius
         scene = Scene(
-            time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel(),
+            time, setup, repeat, position, np.zeros(len(time)), direction, ends=self.travel(),
             velocity={letter: feed * way[:, j] for j, letter in enumerate("XYZ")},
             since_reversal={
                 letter: self.radius * np.arccos(np.clip(-unit[:, j] * direction[letter], -1.0, 1.0))

@@ -13,7 +13,7 @@ from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
-from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
 Order = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
@@ -75,7 +75,7 @@ class DiagonalPlan(plan.Plan):
             out.append(_setup(name, "linear", sign, corner + far * self.blocks * step))
         return out
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> plan.Measurement:
+    def measured(self, rng: np.random.Generator) -> plan.Measurement:
         """The measurement of a plan: every setup once, then all again for the next repeat."""
         runs = self.runs()
         paths = [np.array(run.path(self.step, self.blocks)) for run in runs]
@@ -91,7 +91,7 @@ class DiagonalPlan(plan.Plan):
             axis: np.concatenate([last_direction(position[block == b, i]) for b in range(block[-1] + 1)])
             for i, axis in enumerate("XYZ")
         }
-        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
+        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, ends=self.travel())
         start, end = (np.array([path[k] for path in paths]) for k in (0, -1))
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:

@@ -13,7 +13,7 @@ from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import rotate
 from machine_tool_calibration.simulation.plan import Interval, Measurement, Pause, Plan, Vector3, spanned, true_errors
-from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
 Datum = Literal["none", "offset", "rigid"]
@@ -96,7 +96,7 @@ class DirectPlan(Plan):
         }
         return usual.get(self.kind, ())
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, rng: np.random.Generator) -> Measurement:
         """The measurement of a plan: one setup, run after run."""
         points, senses = self.run()
         forth = np.arange(len(points))
@@ -114,7 +114,7 @@ class DirectPlan(Plan):
             sign = 1.0 if self.end > self.start else -1.0
             ahead = np.repeat([sign, -sign], len(forth))
             direction[self.axis.upper()] = np.tile(ahead, self.repeats * self.mountings)
-        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
+        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, ends=self.travel())
         datum = self.datum or _DATUM.get(self.kind, "rigid")
         place, turned = rng.normal(size=(2, self.mountings, 3))
         place = self.misplacement * place * (datum != "none")

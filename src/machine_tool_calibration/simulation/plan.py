@@ -14,7 +14,7 @@ from machine_tool_calibration.session.record import Finite, Positive, Record
 from machine_tool_calibration.simulation.flaw import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
-from machine_tool_calibration.simulation.scene import Environment, Scene
+from machine_tool_calibration.simulation.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Plan(Record):
         """What the session says of the machine: its chain and travel."""
         return {"chain": self.chain, "travel": {axis.lower(): list(ends) for axis, ends in self.travel().items()}}
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, rng: np.random.Generator) -> Measurement:
         """The measurement of the plan; `rng` decides where the instrument and the part truly stand."""
         raise NotImplementedError
 

@@ -16,7 +16,7 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.plan import Interval, Measurement, Pause, Plan
-from machine_tool_calibration.simulation.scene import Environment, Scene, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
 
@@ -219,7 +219,7 @@ class ProbingPlan(Plan):
         """The machine with tables instead of smooth motions, if so planned."""
         return machine.tabulated({a: tuple(self.nodes()) for a in "XY"}) if self.tables == "linear" else machine
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+    def measured(self, rng: np.random.Generator) -> Measurement:
         """The measurement of a plan: angle by angle, repeat by repeat, all points."""
         part, turns = self.surface(), self.turns()
         nominal = np.array([[*p.position, 0.0] for p in part])
@@ -239,7 +239,7 @@ class ProbingPlan(Plan):
         # an approach at right angles to an axis leaves it where it was
         direction = {axis: last_sign(-normal[:, i], 1e-9) for i, axis in enumerate("XY")}
         direction["C"] = np.sign(np.diff(turns, prepend=turns[0] - 1.0))[setup]
-        scene = Scene(time, setup, repeat, command, angle, direction, environment, ends=self.travel())
+        scene = Scene(time, setup, repeat, command, angle, direction, ends=self.travel())
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
             actual = centre + disturbance.functional_point(machine, command) - command

@@ -14,7 +14,7 @@ from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
-from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import distance
 
 # The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
@@ -95,7 +95,7 @@ class RotaryPlan(plan.Plan):
         there = last_direction(forth)
         return np.concatenate([there, last_direction(back, -there[-1])])
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> plan.Measurement:
+    def measured(self, rng: np.random.Generator) -> plan.Measurement:
         """The measurement: station by station, repeat by repeat; all angles for each target, or the reverse."""
         names = list(self.marks())
         nominal = np.array([self.marks()[name] for name in names], float)
@@ -114,9 +114,7 @@ class RotaryPlan(plan.Plan):
         angle = turns[step]
         run = groups(setup, repeat, label)
         direction = self.senses()[step]
-        scene = Scene(
-            time, setup, repeat, np.zeros((len(time), 3)), angle, {self.axis: direction}, environment, self.axis
-        )
+        scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {self.axis: direction}, axis=self.axis)
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
             actual = disturbance.on_table(machine, target[label], angle, self.axis) + disturbance.point

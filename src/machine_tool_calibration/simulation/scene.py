@@ -44,18 +44,7 @@ class Drift:
         return sum(waves, np.full(np.shape(time), self.slope))
 
 
-@dataclass(frozen=True)
-class Environment:
-    """What the sensors around the machine would show, by column name; others stand at 20 °C, 101325 Pa, 50 %."""
-
-    drifts: Mapping[str, Drift] = field(default_factory=dict)
-
-    def __call__(self, time: Array) -> dict[str, Array]:
-        """Every recorded column at times (n,), s."""
-        return {name: drift(time) for name, drift in self.drifts.items()}
-
-
-def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> Environment:
+def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> dict[str, Drift]:
     """A workshop whose temperatures wander by about a kelvin within hours, times `swing`, each in its own way."""
     drifts = {}
     for name in ENVIRONMENT_COLUMNS:
@@ -66,7 +55,7 @@ def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> Envir
         phases = rng.uniform(0, 2 * np.pi, 3)
         waves = tuple((float(a), float(p), float(f)) for a, p, f in zip(sizes, periods, phases, strict=True))
         drifts[name] = Drift(float(mean), waves)
-    return Environment(drifts)
+    return drifts
 
 
 @dataclass(frozen=True)
@@ -79,7 +68,8 @@ class Scene:
     position: Array  # (n, 3) commanded x, y, z, m; zero for an axis that does not move
     angle: Array  # (n,) commanded angle of the rotary axis, rad
     direction: Mapping[str, Array] = field(default_factory=dict)  # sign of the last move by axis letter, (n,)
-    environment: Environment = field(default_factory=Environment)  # temperatures, pressure and humidity over time
+    # what sensors around the machine would show, by column; others stand at 20 °C, 101325 Pa, 50 %
+    environment: Mapping[str, Drift] = field(default_factory=dict)
     axis: str = "C"  # letter of the rotary axis
     ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends of each axis's travel by letter
     start: Array | None = None  # (n,) time of the first reading of that setup, s; found from the readings if absent
@@ -95,7 +85,8 @@ class Scene:
         """What a session records of them: time, position and sign of the last move of each axis, environment."""
         axes = {axis.lower(): self.along(axis) for axis in self.direction}
         signs = {f"dir_{axis.lower()}": sign for axis, sign in self.direction.items()}
-        return {"time": self.time, **axes, **signs, **self.environment(self.time)}
+        sensed = {name: drift(self.time) for name, drift in self.environment.items()}
+        return {"time": self.time, **axes, **signs, **sensed}
 
     def along(self, axis: str) -> Array:
         """(n,) commanded position of an axis, m or rad."""
@@ -111,7 +102,7 @@ class Scene:
         return self._drift(column).rate(self.time)
 
     def _drift(self, column: str) -> Drift:
-        return self.environment.drifts.get(column, Drift(_AIR.get(column, _TEMPERATURE)[0]))
+        return self.environment.get(column, Drift(_AIR.get(column, _TEMPERATURE)[0]))
 
     def toward(self, axis: str) -> Array:
         """(n,) sign of the last move of an axis; +1 where it did not move."""

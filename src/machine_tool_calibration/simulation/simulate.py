@@ -81,7 +81,8 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
         )
     machine = plan.prepared(machine)
     environment = random_environment(rng["environment"], swing=spec.environment_swing)
-    measurement = plan.measured(environment, rng["setup"])
+    measurement = plan.measured(rng["setup"])
+    measurement = replace(measurement, scene=replace(measurement.scene, environment=environment))
     shaken = Disturbance()
     if spec.repeatability:
         shaken = Disturbance(point=spec.repeatability * rng["repeatability"].normal(size=(len(measurement.scene), 3)))

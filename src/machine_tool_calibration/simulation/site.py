@@ -26,7 +26,7 @@ from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_record
 from machine_tool_calibration.simulation.probing_run import touched
-from machine_tool_calibration.simulation.scene import Environment, Scene, random_environment
+from machine_tool_calibration.simulation.scene import Drift, Scene, random_environment
 from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
 
@@ -35,9 +35,12 @@ class LiveMachine:
     """A machine, given without its flaws, whose errors depend on time, temperature and direction."""
 
     def __init__(
-        self, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
+        self,
+        machine: VirtualMachine,
+        flaws: Iterable[Chosen] = (),
+        environment: Mapping[str, Drift] = MappingProxyType({}),
     ) -> None:
-        self.machine, self.flaws, self.environment = machine, tuple(flaws), environment or Environment()
+        self.machine, self.flaws, self.environment = machine, tuple(flaws), environment
         fixed = self.disturbance(self.scene(0.0, np.zeros(3)))
         # with the flaws' extra error motions and squareness
         self.machine = machine.with_errors(fixed.tables, fixed.squareness)
@@ -170,7 +173,7 @@ class Site(LiveMachine):
 
     def sensed(self, time: float) -> dict[str, float]:
         """What the sensors of the environment show, by column name."""
-        return {name: float(values[0]) for name, values in self.environment(np.array([time])).items()}
+        return {name: float(drift(np.array([time]))[0]) for name, drift in self.environment.items()}
 
     def moment(
         self,

@@ -13,7 +13,7 @@ from machine_tool_calibration.session.record import Finite, NotNegative
 from machine_tool_calibration.simulation import plan
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
 _STATIONS: dict[int, tuple[tuple[float, float, float], ...]] = {
@@ -82,7 +82,7 @@ class TrackingPlan(plan.Plan, Pointer):
         """Ends of the axes that hold all targets, with the zero, m."""
         return plan.spanned(self.targets())
 
-    def measured(self, environment: Environment, rng: np.random.Generator) -> plan.Measurement:
+    def measured(self, rng: np.random.Generator) -> plan.Measurement:
         """The measurement of a plan: true stations by chance around the estimates, one run per repeat and station."""
         truth = self.places()
         spread = rng.normal(size=truth.shape) * self.station_uncertainty
@@ -98,7 +98,7 @@ class TrackingPlan(plan.Plan, Pointer):
         time = ordered_times(setup, self.interval, self.pause)
         position = targets[index]
         direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
+        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, ends=self.travel())
         azimuth, elevation = aim(estimate[setup], position, self.dimension)
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
