@@ -81,10 +81,9 @@ class Drawn:
         """(M,) root mean square deviation."""
         return np.asarray(np.sqrt(np.mean(self.deviation**2, axis=0)))
 
-    def interval(self, index: int, probability: float = 0.95) -> tuple[float, float]:
-        """Ends of the probabilistically symmetric coverage interval of a number's deviation."""
-        tail = 50.0 * (1.0 - probability)
-        low, high = np.percentile(self.deviation[:, index], [tail, 100.0 - tail])
+    def interval(self, index: int) -> tuple[float, float]:
+        """Ends of the probabilistically symmetric coverage interval of a number's deviation, for 95 %."""
+        low, high = np.percentile(self.deviation[:, index], [2.5, 97.5])
         return float(low), float(high)
 
 
