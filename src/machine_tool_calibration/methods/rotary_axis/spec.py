@@ -42,7 +42,6 @@ class RotarySpec(MethodSpec):
         """
         description = session.description.as_a(RotaryAxis)
         nominal_geometry.enough_stations(session, description.setups, measured, place, needed=3, method=session.method)
-        nominal_geometry.refuse_one_line(description.setups, place)
         _refuse_one_plane(description, place)
         _enough_angles(session, description, measured, place)
 

@@ -17,7 +17,6 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     lines_of_sight,
     off_prediction,
     on_a_line,
-    refuse_one_line,
     relative_misfit,
     wrapped,
 )
@@ -80,8 +79,6 @@ class TrackingSpec(MethodSpec):
         description = session.description.as_a(TrackingInterferometer)
         method = f"tracking_interferometer in {description.dimension} dimensions"
         enough_stations(session, description.setups, measured, place, needed=2, method=method)
-        if description.dimension == 3:
-            refuse_one_line(description.setups, place)
         reach = np.linalg.norm(lines_of_sight(session, session.readings.position())[:, : description.dimension], axis=1)
         if (at := first_true(measured & (reach < _LEAST_REACH))) is not None:
             name = session.setup_ids[session.readings.setup[at]]

@@ -111,10 +111,10 @@ def on_a_line(points: Array) -> bool:
 def enough_stations(
     session: Session, setups: tuple[StationSetup, ...], measured: BoolArray, place: Place, *, needed: int, method: str
 ) -> None:
-    """Refuse stations at one place, and fewer than the method (in words) needs that were read (SessionError).
+    """Refuse stations at one place, fewer than the method (in words) needs that were read, or in space all on a line.
 
-    One that was moved a little on its way stands at its place twice, and counts as one: what it had read it did not
-    read again.
+    By a SessionError. One that was moved a little on its way stands at its place twice, and counts as one: what it had
+    read it did not read again.
     """
     positions, readings = np.array([setup.position for setup in setups]), session.readings
     asked, station = groups(readings.alike(setup=False), readings.repeat), np.arange(len(setups))
@@ -138,11 +138,7 @@ def enough_stations(
             f"{place.description if not silent else place.readings}: {counted(count, 'station')}; "
             f"{method} needs at least {needed}{without}"
         )
-
-
-def refuse_one_line(setups: tuple[StationSetup, ...], place: Place) -> None:
-    """Raise a SessionError where all of three stations or more stand on one line."""
-    if len(setups) > 2 and on_a_line(np.array([setup.position for setup in setups])):
+    if session.description.axes == "xyz" and len(setups) > 2 and on_a_line(positions):
         raise SessionError(
             f"{place.description}: all stations stand on one line: no reading shows a turn about it; move one of them "
             "off the line"
