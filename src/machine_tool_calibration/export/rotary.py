@@ -152,8 +152,7 @@ def _siemens(tables: RotaryTables, lines: Sequence[str]) -> dict[str, str]:
     nodes, value = _whole(tables.table)
     whole_turn = bool(nodes[-1] - nodes[0] > 2.0 * np.pi - 1e-6)
     once = nodes < nodes[0] + 2.0 * np.pi + 1e-6  # beyond a turn the control repeats the table
-    nodes, value = siemens.evenly(nodes[once], value[once])
-    own = siemens.screw(tables.table.axis, nodes, value, _DEGREES, digits=7, modulo=whole_turn)
+    own = siemens.screw(tables.table.axis, nodes[once], value[once], _DEGREES, digits=7, modulo=whole_turn)
     return {siemens.SCREW: siemens.init_file("AX_EEC", [*lines, *remarks("siemens", tables)], [own])}
 
 

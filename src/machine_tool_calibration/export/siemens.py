@@ -66,7 +66,7 @@ def write(tables: AxisTables, source: str) -> dict[str, str]:
     if screws:
         lines = [*head(tables, source, _SIGN, _UNITS, absent), middle_line(tables), _RESOLUTION]
         lines += ["MD32700 ENC_COMP_ENABLE switches it on; first measuring system; axes named X1, Y1, Z1"]
-        files[SCREW] = init_file("AX_EEC", lines, [screw(t.axis, *evenly(t.nodes, t.value)) for t in screws])
+        files[SCREW] = init_file("AX_EEC", lines, [screw(t.axis, t.nodes, t.value) for t in screws])
     if sags:
         lines = [*head(tables, source, _SIGN, _UNITS, absent), _TRY_SAG, middle_line(tables), _RESOLUTION]
         lines += ["squareness is in the slopes of these tables"] if tables.squareness else []
@@ -85,7 +85,7 @@ def screw(
     letter: str, nodes: Array, value: Array, unit: float = 1e3, *, digits: int = 6, modulo: bool = False
 ) -> list[str]:
     """The entries of a leadscrew table at even steps, times `unit` in the control's; `modulo`: again every turn."""
-    axis = f"{letter}1"
+    axis, (nodes, value) = f"{letter}1", evenly(nodes, value)
     out = [f"; E{letter}{letter}: MD38000 MM_ENC_COMP_MAX_POINTS of {axis} must be {len(nodes)} or more"]
     out += [f"$AA_ENC_COMP[0,{k},{axis}]={unit * v + 0.0:.{digits}f}" for k, v in enumerate(value)]
     for word, entry in (*_range(nodes, unit), ("IS_MODULO", f"{modulo:d}")):

@@ -131,19 +131,20 @@ class Columns:
         if (row := first_true(empty)) is not None:
             raise SessionError(f"{self.table.where(row)}: {what} is empty")
 
-    def origin(self, axis: str) -> float:
-        """Where the table's zero of an axis is in the machine, m; 0 where that is not said."""
-        text = self.mapping.origin.get(axis)  # type: ignore[call-overload]
-        return 0.0 if text is None else quantity(text, "length", f"origin of {axis}")
+    def in_machine(self, positions: Mapping[str, Array]) -> dict[str, Array]:
+        """Positions by axis, each (rows,) m, from the table's zero, in the machine, where it is said to be elsewhere.
 
-    def check_origin(self, axes: Collection[str]) -> None:
-        """Raise a SessionError if the origin of another axis is given: of one that no column has nothing is shifted."""
-        for axis in self.mapping.origin:
-            if axis not in axes:
+        A SessionError if it is said of another axis: of one that no column has nothing is shifted.
+        """
+        placed = dict(positions)
+        for axis, text in self.mapping.origin.items():
+            if axis not in placed:
                 raise SessionError(
                     f"{self.table.source}: origin names {axis}, of which there is no column of positions; what is the "
                     f"same in every row is a value, as in --value {axis}=250mm"
                 )
+            placed[axis] = placed[axis] + quantity(text, "length", f"origin of {axis}")
+        return placed
 
     def _unit(self, role: str, rule: ColumnRule, wanted: str | None) -> str:
         units = self.mapping.units

@@ -15,8 +15,12 @@ from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.units import quantity
 
 
-def has_angles(columns: Columns) -> bool:
-    """Whether the table has a distance with two angles."""
+def station_points(columns: Columns) -> Array | None:
+    """(rows, 3) points in the frame of each row's station, z upwards, m; NaN where a reading is missing.
+
+    `azimuth` counts from x towards y (counter-clockwise seen from above), `bearing` the other way; `elevation` from the
+    horizontal upwards, `zenith` from the vertical downwards. None where the table has no distance with two angles.
+    """
     horizontal = columns.has("azimuth") or columns.has("bearing")
     vertical = columns.has("elevation") or columns.has("zenith")
     if horizontal or vertical:
@@ -25,15 +29,8 @@ def has_angles(columns: Columns) -> bool:
         columns.need(("elevation",), "or zenith: the angle that belongs to the distance")
     if vertical and not horizontal:
         columns.need(("azimuth",), "or bearing: the angle that belongs to the distance")
-    return horizontal and vertical
-
-
-def station_points(columns: Columns) -> Array:
-    """(rows, 3) points in the frame of each row's station, z upwards, m; NaN where a reading is missing.
-
-    `azimuth` counts from x towards y (counter-clockwise seen from above), `bearing` the other way; `elevation` from the
-    horizontal upwards, `zenith` from the vertical downwards.
-    """
+    if not horizontal:
+        return None
     distance = columns.number("range")
     around = columns.number("azimuth") if columns.has("azimuth") else -columns.number("bearing")
     up = columns.number("elevation") if columns.has("elevation") else np.pi / 2 - columns.number("zenith")
@@ -121,12 +118,11 @@ def point_rows(columns: Columns, name: str) -> Rows:
     deviation, how = _deviation(columns, nominal, setups)
     sensed = [j for j in range(3) if how[j]]
     n, k = len(table), len(sensed)
-    columns.check_origin([_AXES[j] for j in axes])
-    origin = np.array([columns.origin(axis) for axis in _AXES])
+    placed = columns.in_machine({_AXES[j]: nominal[:, j] for j in axes})
     if (empty := first_true(np.asarray(np.isnan(nominal[:, axes]).any(axis=1)))) is not None:
         raise SessionError(f"{table.where(empty)}: the nominal coordinate is empty")
     row = np.repeat(np.arange(n), k)
-    numbers: dict[str, Array] = {_AXES[j]: (nominal[:, j] + origin[j])[row] for j in axes}
+    numbers = {axis: position[row] for axis, position in placed.items()}
     taken = (*_AXES, *_MEASURED, *_POLAR)
     numbers |= {role: values[row] for role, values in columns.others(taken).items()}
     direction = np.tile(np.eye(3)[sensed], (n, 1))
@@ -157,15 +153,13 @@ def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Ar
     """(rows, 3) measured minus nominal, NaN where missing, and for each axis the column that it comes from or ''."""
     table, align = columns.table, columns.mapping.align
     how = ["", "", ""]
-    measured = np.full_like(nominal, np.nan)
-    if has_angles(columns):
-        for role in _MEASURED:
-            if columns.has(role):
-                raise SessionError(f"{table.source}: either {role} or range and angles, not both")
-        measured = station_points(columns)
+    given = [role for role in _MEASURED if columns.has(role)]
+    if (measured := station_points(columns)) is not None:
+        if given:
+            raise SessionError(f"{table.source}: either {given[0]} or range and angles, not both")
         how = ["actual from range and angles"] * 3
     else:
-        given = [role for role in _MEASURED if columns.has(role)]
+        measured = np.full_like(nominal, np.nan)
         if not given:
             columns.need(("actual_x",), "the measured coordinate; or deviation_x, or range with angles")
         kinds = {role.partition("_")[0] for role in given}
@@ -227,8 +221,7 @@ def range_rows(columns: Columns) -> Rows:
     if not rotary:
         columns.need(_AXES[:2], "the commanded position")
     numbers: dict[str, Array] = {axis: columns.filled(axis) for axis in moved}
-    columns.check_origin(() if rotary else moved)
-    numbers |= {} if rotary else {axis: values + columns.origin(axis) for axis, values in numbers.items()}
+    numbers |= columns.in_machine({} if rotary else numbers)
     labels = {"setup": stations} | {name: columns.text(name) for name in ("target", "point") if columns.has(name)}
     notes: list[str] = []
     if columns.has("time"):
@@ -264,7 +257,7 @@ def _seen(columns: Columns) -> tuple[Array, Array | None]:
     given = [role for role in _ACTUAL if columns.has(role)]
     if not given:
         columns.need(("range",), "the distance that the station read; or actual_x, actual_y, actual_z from it")
-        return columns.number("range"), station_points(columns) if has_angles(columns) else None
+        return columns.number("range"), station_points(columns)
     columns.need(_ACTUAL, "the point in the station's frame")
     if columns.has("range"):
         raise SessionError(f"{columns.table.source}: either range or actual_x, actual_y, actual_z, not both")

@@ -42,8 +42,7 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
     if mapping.sign == "nominal-minus-actual" and not (mapping.actual or columns.has("actual")):
         deviation = -deviation
     n = len(position)
-    columns.check_origin((mapping.axis,))
-    numbers: dict[str, Array] = {mapping.axis: position + columns.origin(mapping.axis)}
+    numbers = columns.in_machine({mapping.axis: position})
     numbers |= {f"dir_{mapping.axis}": np.where(up, 1.0, -1.0), "repeat": run}
     numbers |= {f"g{axis}": np.full(n, float(axis == sense)) for axis in "xyz"} | {"displacement": deviation}
     taken = ("position", "actual", "deviation", "run", "direction", "repeat", mapping.axis, f"dir_{mapping.axis}")

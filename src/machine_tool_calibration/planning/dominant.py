@@ -12,7 +12,8 @@ there: its share is what one of the expected size would do to the map, or of the
 where that is far smaller. A further measurement is judged by what would be left of all three.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -94,13 +95,7 @@ def dominant(
         return None
     if found is None or found.cause == "readings":
         return found
-    tried = []
-    for option in further_options(session):
-        try:
-            tried.append((option, left_with(found, build_model(option.session, model)[0])))
-        except CalibrationError:
-            continue
-    return with_remedies(found, tried)
+    return with_remedies(found, further_options(session), lambda extended: build_model(extended, model)[0])
 
 
 def _shares(
@@ -123,14 +118,13 @@ def _shares(
     return Dominant(cause, whole, shares, angular if angles else 0.0, drift, scatter=scatter)  # type: ignore[arg-type]
 
 
-def left_with(found: Dominant, extended: MethodModel) -> float:
-    """RMS standard uncertainty of the map, m, of a model of the session with a further measurement; NaN without one."""
-    return _uncertainty(extended, found.angular, found.drift, found.scatter)
-
-
-def with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
-    """With those of the further measurements, and of what they leave (`left_with`), that are worth it."""
-    known = [(option, after) for option, after in tried if np.isfinite(after)]
+def with_remedies(found: Dominant, options: Sequence[Option], build: Callable[[Session], MethodModel]) -> Dominant:
+    """With those of the further measurements that are worth it, by the models of the session with each."""
+    known = []
+    for option in options:
+        with suppress(CalibrationError):
+            after = _uncertainty(build(option.session), found.angular, found.drift, found.scatter)
+            known += [(option, after)] if np.isfinite(after) else []
     again = next((after for option, after in known if option.kind == "again"), found.uncertainty)
     better = sorted((t for t in known if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
     remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST_REMEDIES])

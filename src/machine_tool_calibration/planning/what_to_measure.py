@@ -15,7 +15,7 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.planning.dominant import Dominant, left_with, limits_of, with_remedies
+from machine_tool_calibration.planning.dominant import Dominant, limits_of, with_remedies
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.planning.sensing import Sensed, SizedEffect, sense
 from machine_tool_calibration.progress import Progress, untold
@@ -172,14 +172,12 @@ def what_to_measure(diagnosis: Diagnosis, progress: Progress = untold) -> Advice
     if now is None:
         return Advice(dominant=limits)
     options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
-    seen, left = list[tuple[Option, Sensed]](), list[tuple[Option, float]]()
+    seen = list[tuple[Option, Sensed]]()
     for number, (k, option) in enumerate(options):
         progress("what to measure next", number / len(options))
         further = chosen.instead(k, option.session)
         found = sensed(further, k, first_row=option.first_row, turned=option.turned)
         if found is not None:
-            if improvable is not None:
-                left.append((option, left_with(improvable, further.base(option.session)[0])))
             named = option if labels is None else replace(option, measure=together((labels[k], option.measure), ": "))
             seen.append((named, found))
     separations = []
@@ -191,7 +189,9 @@ def what_to_measure(diagnosis: Diagnosis, progress: Progress = untold) -> Advice
     others = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
     if improvable is not None:
-        limits = with_remedies(improvable, left)
+        limits = with_remedies(
+            improvable, [option for _, option in options], lambda own: chosen.instead(0, own).base(own)[0]
+        )
     return Advice(tuple(separations), tuple(seldom), limits)
 
 
