@@ -167,8 +167,7 @@ def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Ar
             raise SessionError(f"{table.source}: either actual_… or deviation_…, not both")
         for role in given:
             j = _AXES.index(role[-1])
-            if not columns.has(role[-1]):
-                columns.need((role[-1],), f"the nominal coordinate that belongs to {role}")
+            columns.need((role[-1],), f"the nominal coordinate that belongs to {role}")
             how[j] = role
             measured[:, j] = columns.number(role)
         if kinds == {"deviation"}:

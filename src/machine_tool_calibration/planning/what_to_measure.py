@@ -189,9 +189,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Progress = untold) -> Advice
     others = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
     if improvable is not None:
-        limits = with_remedies(
-            improvable, [option for _, option in options], lambda own: chosen.instead(0, own).base(own)[0]
-        )
+        limits = with_remedies(improvable, [option for _, option in options], lambda own: chosen.base(own)[0])
     return Advice(tuple(separations), tuple(seldom), limits)
 
 

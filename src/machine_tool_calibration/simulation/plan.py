@@ -76,15 +76,14 @@ class Plan(Record):
         return None
 
 
-def station_name(index: int) -> str:
-    """Id of an instrument's setup: A to Z, then S27 and so on."""
-    return ascii_uppercase[index] if index < len(ascii_uppercase) else f"S{index + 1}"
+def declared_places(places: Array, uncertainty: float, ids: Iterable[str] = ()) -> list[dict[str, Any]]:
+    """What a session says of places (k, 3), m, whose standard uncertainty is stated where there is one.
 
-
-def declared_places(ids: Iterable[str], places: Array, uncertainty: float) -> list[dict[str, Any]]:
-    """What a session says of places (k, 3), m, whose standard uncertainty is stated where there is one."""
+    Those without ids are the instrument's: A to Z, then S27 and so on.
+    """
+    names = tuple(ids) or (*ascii_uppercase, *(f"S{k + 1}" for k in range(len(ascii_uppercase), len(places))))
     own = {"position_uncertainty": uncertainty} if uncertainty > 0 else {}
-    return [{"id": name, "position": place, **own} for name, place in zip(ids, places.tolist(), strict=False)]
+    return [{"id": name, "position": place, **own} for name, place in zip(names, places.tolist(), strict=False)]
 
 
 def true_errors(machine: VirtualMachine, places: Array) -> dict[str, Any]:

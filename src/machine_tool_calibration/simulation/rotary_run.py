@@ -2,7 +2,6 @@
 """A session on a rotary axis: stations that look at targets on the table (sequential multilateration)."""
 
 from dataclasses import replace
-from itertools import count
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -134,8 +133,8 @@ class RotaryPlan(plan.Plan):
 
         description = {
             "rotation_sign": self.sign,
-            "targets": plan.declared_places(names, nominal, self.target_uncertainty),
-            "setups": plan.declared_places(map(plan.station_name, count()), estimate, self.station_uncertainty),
+            "targets": plan.declared_places(nominal, self.target_uncertainty, names),
+            "setups": plan.declared_places(estimate, self.station_uncertainty),
         }
         labels = {"target": np.array(names, dtype=object)[label]}
         return plan.Measurement(description, scene, read, run, labels=labels, truth=judged)

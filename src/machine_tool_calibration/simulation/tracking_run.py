@@ -2,7 +2,6 @@
 """A session with a tracking interferometer at several stations."""
 
 from dataclasses import replace
-from itertools import count
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -117,7 +116,7 @@ class TrackingPlan(plan.Plan, Pointer):
         description = {
             "dimension": self.dimension,
             "pointing": self.pointing,
-            "setups": plan.declared_places(map(plan.station_name, count()), estimate, self.station_uncertainty),
+            "setups": plan.declared_places(estimate, self.station_uncertainty),
         }
         columns = {"azimuth": azimuth, "elevation": elevation}
         return plan.Measurement(description, scene, read, setup, columns, truth=judged)
