@@ -151,7 +151,7 @@ def test_example_machines_can_be_built_and_written_again(path):
     document = yaml.safe_load(yaml.safe_dump(machine_document(machine)))
     again = build_machine(MachineSpec.model_validate(document))
     points = np.random.default_rng(1).uniform(0, 0.1, (20, 3))
-    np.testing.assert_allclose(again.position(points), machine.position(points), atol=2e-9)
+    np.testing.assert_allclose(again.functional_point(points), machine.functional_point(points), atol=2e-9)
     np.testing.assert_allclose(
         again.on_table(points, points[:, 0] * 30), machine.on_table(points, points[:, 0] * 30), atol=2e-7
     )

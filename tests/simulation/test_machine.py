@@ -74,14 +74,14 @@ def test_second_order_is_that_of_homogeneous_transforms():
     y = Rotation.from_rotvec([0, 0, 2e-3]).apply([0, 1, 0])
     z = Rotation.from_rotvec([3e-3, -1e-3, 0]).apply([0, 0, 1])
     total = transform("Y", Y, y) @ transform("X", X, [1, 0, 0]) @ transform("Z", Z, z)
-    np.testing.assert_allclose(virtual.position(POINT)[0], (total @ [*offset, 1])[:3], atol=1e-15)
+    np.testing.assert_allclose(virtual.functional_point(POINT)[0] + offset, (total @ [*offset, 1])[:3], atol=1e-15)
     np.testing.assert_allclose(virtual.tool_rotation(POINT)[0], total[:3, :3], atol=1e-15)
     np.testing.assert_allclose(virtual.carried(POINT, [0.6, 0.0, 0.8])[0], total[:3, :3] @ [0.6, 0.0, 0.8], atol=1e-15)
 
 
 def test_shift_moves_a_carriage_along_its_own_direction():
     virtual = machine("w-C-b-Y-X-Z-t", {}, squareness={"C0Y": 1e-3})
-    change = virtual.position(POINT, {"Y": np.array([1e-5])}) - virtual.position(POINT)
+    change = virtual.functional_point(POINT, {"Y": np.array([1e-5])}) - virtual.functional_point(POINT)
     np.testing.assert_allclose(change[0], [-1e-5 * np.sin(1e-3), 1e-5 * np.cos(1e-3), 0], atol=1e-16)
 
 

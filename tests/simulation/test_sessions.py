@@ -395,8 +395,8 @@ def test_one_machine_for_several_measurements():
     two = simulate(SimulationSpec(plan=DirectPlan(), seed=2, machine=spec)).truth.machine
     three = simulate(SimulationSpec(plan=DirectPlan(kind="grid_plate"), seed=3), machine=one).truth.machine
     points = np.random.default_rng(0).uniform(0, 0.4, (9, 3))
-    np.testing.assert_array_equal(one.position(points), two.position(points))
-    np.testing.assert_array_equal(one.position(points), three.position(points))
+    np.testing.assert_array_equal(one.functional_point(points), two.functional_point(points))
+    np.testing.assert_array_equal(one.functional_point(points), three.functional_point(points))
 
 
 def test_a_flaw_of_ones_own():

@@ -22,7 +22,7 @@ other noise, for Monte Carlo.
 A machine of one's own::
 
     machine = build_machine(read_machine("config/machines/five_axis_vertical.yaml"))
-    machine.position([[0.1, 0.2, 0.0]])          # (n, 3) where the functional point really is, m
+    machine.functional_point([[0.1, 0.2, 0.0]])  # (n, 3) where the functional point really is, m
 
 Workshop, interferometer and part of the simulated nodes, one reading at a time, with flaws, time and temperature:
 `site.py` and `interferometer.py`. Other plans: `DiagonalPlan`, `RotaryPlan`, `ProbingPlan`, `DirectPlan`; `PRESETS`

@@ -68,13 +68,14 @@ class VirtualMachine:
         unit = dict(zip("XYZ", np.eye(3), strict=True))
         return {axis: rotate(unit[axis], _of_axis(self.squareness, "ABC", axis)) for axis in self.chain.linear}
 
-    def position(
+    def functional_point(
         self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
     ) -> Array:
-        """(n, 3) actual position of the functional point, workpiece frame, rotary axes at zero, for commands (n, 3), m.
+        """(n, 3) where the functional point is in the workpiece frame, rotary axes at zero, for commands (n, 3), m.
 
-        By axis letter: `shift` (n,), m, how far its carriage is off its command along its own motion (backlash, thermal
-        expansion, pitch error); `errors` (n, 6), its further error motions EX … EC, m and rad.
+        Counted from where it is with all axes at zero. By axis letter: `shift` (n,), m, how far its carriage is off
+        its command along its own motion (backlash, thermal expansion, pitch error); `errors` (n, 6), its further error
+        motions EX … EC, m and rad.
         """
         at = np.atleast_2d(np.asarray(command, float))
         point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
@@ -89,13 +90,7 @@ class VirtualMachine:
         for index, axis in enumerate("XYZ"):  # an axis that the chain lacks stands where it is said to be
             if axis not in self._directions:
                 point = point + at[:, index : index + 1] * np.eye(3)[index]
-        return point
-
-    def functional_point(
-        self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
-    ) -> Array:
-        """(n, 3) `position` counted from where the functional point is with all axes at zero, m."""
-        return np.asarray(self.position(command, shift, errors) - np.asarray(self.tool_offset))
+        return np.asarray(point - np.asarray(self.tool_offset))
 
     def position_error(self, command: Array) -> Array:
         """Actual minus commanded position of the functional point, (n, 3), m."""
@@ -141,11 +136,6 @@ class VirtualMachine:
             q = rotate(q, error[:, 3:]) + error[:, :3]
         tilt = _of_axis(self.average_line, "ABC", axis)
         return np.asarray((rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis))
-
-    def table_direction(self, vector: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
-        """A direction fixed to the table, (n, 3) or (3,), as it really lies in the machine frame, (n, 3)."""
-        origin = self.on_table(np.zeros(3), angle, axis, shift)
-        return np.asarray(self.on_table(vector, angle, axis, shift) - origin)
 
     def with_errors(self, tables: Iterable[tuple[str, Table]], squareness: Mapping[str, float]) -> Self:
         """The same machine with further error motions (`EXX`, table) and squareness errors, rad, added."""

@@ -147,7 +147,7 @@ def touched(
     place = disturbance.grown(nominal, "C") + form[:, None] * outward
     shift = disturbance.axis.get("C", 0.0)
     surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
-    facing = machine.table_direction(outward, angle, "C", shift)
+    facing = machine.on_table(outward, angle, "C", shift) - machine.on_table(np.zeros(3), angle, "C", shift)
     sight = Sight(np.zeros(len(angle)), -normal, azimuth=np.arctan2(normal[:, 1], normal[:, 0]))
     return probed(actual, normal, surface, facing, radius, curvature) + disturbance.added(sight)
 
