@@ -75,24 +75,17 @@ def quantity(text: str, wanted: str, what: str) -> float:
     return float(si_values([match[1]], unit)[0])
 
 
-def unit_in_name(column: str) -> str | None:
-    """The unit that a column's name ends with, as in `X [mm]`; None if it has none that is known."""
-    if (match := _IN_NAME.fullmatch(column)) is None:
-        return None
-    name = _SPELLINGS.get(match[2], match[2])
-    return name if name in UNITS and name != "1" else None
+def name_and_unit(column: str) -> tuple[str, str | None]:
+    """A column's name and the unit that it ends with, as in `X [mm]`; as it is and None if none is known."""
+    match = _IN_NAME.fullmatch(column)
+    unit = "1" if match is None else _SPELLINGS.get(match[2], match[2])
+    return (column, None) if match is None or unit not in UNITS or unit == "1" else (match[1].strip(), unit)
 
 
 def unknown_unit(column: str) -> str | None:
     """What a column's name ends with in square brackets, if it looks like a unit and is none that is known."""
     match = _IN_NAME.fullmatch(column) if column.rstrip().endswith("]") else None
-    return match[2] if match is not None and not unit_in_name(column) and _LIKE_A_UNIT.fullmatch(match[2]) else None
-
-
-def without_unit(column: str) -> str:
-    """A column's name without the unit that it ends with."""
-    match = _IN_NAME.fullmatch(column)
-    return column if match is None or unit_in_name(column) is None else match[1].strip()
+    return match[2] if match is not None and not name_and_unit(column)[1] and _LIKE_A_UNIT.fullmatch(match[2]) else None
 
 
 def _example(wanted: str) -> str:

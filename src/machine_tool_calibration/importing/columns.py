@@ -11,7 +11,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.mapping import ROLES, ColumnRule
 from machine_tool_calibration.importing.mapping import Mapping as TableMapping
 from machine_tool_calibration.importing.text_table import TextTable
-from machine_tool_calibration.units import dimension, quantity, unit_in_name, unknown_unit, without_unit
+from machine_tool_calibration.units import dimension, name_and_unit, quantity, unknown_unit
 
 _NEED_NO_UNIT = {"time": "s", "temperature": "degC", "number": "1"}
 
@@ -49,7 +49,7 @@ class Columns:
         """
         named = dict(self.mapping.columns)
         for column in self.table.names:
-            role = without_unit(column).lower()
+            role = name_and_unit(column)[0].lower()
             if role in ROLES[self.mapping.table] and not self.has(role):
                 if role in named and named[role].column != column:
                     both = f"{named[role].column!r} and {column!r}"
@@ -148,7 +148,7 @@ class Columns:
 
     def _unit(self, role: str, rule: ColumnRule, wanted: str | None) -> str:
         units = self.mapping.units
-        named = unit_in_name(rule.column)
+        named = name_and_unit(rule.column)[1]
         given = rule.unit or units.get(role)
         differ = given is not None and named is not None and named != given and dimension(named) == dimension(given)
         if differ and not self.mapping.trusted:

@@ -33,18 +33,14 @@ class Layout:
     rows: int  # number of data rows
     blank: IntArray  # (m,) lines after the header that hold nothing
 
-    def line(self, row: int) -> int:
-        """The file's line (from 1) of a data row (from 0)."""
+    def where(self, row: int) -> str:
+        """`file row 3 (line 5)`, for messages: of a data row (from 0), with its line in the file (from 1)."""
         line = self.header_line + 1 + row
         for blank in self.blank:  # in increasing order
             if blank > line:
                 break
             line += 1
-        return line
-
-    def where(self, row: int) -> str:
-        """`file row 3 (line 5)`, for messages."""
-        return f"{self.source} row {row} (line {self.line(row)})"
+        return f"{self.source} row {row} (line {line})"
 
 
 def scan_csv(path: Path) -> Layout:
