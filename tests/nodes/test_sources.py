@@ -95,7 +95,7 @@ def test_a_reading_in_simulated_time_is_the_path_and_its_noise(source):
         hold(source, index * 1000 * MS, (index * 1000 + 500) * MS, 0.1)
         window = source.window(0.1)
         assert (window.start, window.end) == ((index * 1000 + 400) * MS, (index * 1000 + 500) * MS)
-        assert window.path == pytest.approx(source.stream().path.mean(), abs=1e-12)
+        assert window.path == pytest.approx(source.averaged.path.mean(), abs=1e-12)
         values.append(window.path)
     assert np.mean(values) == pytest.approx(0.45, abs=5 * 3e-7 / 20)
     assert np.std(values) == pytest.approx(3e-7, rel=0.15)

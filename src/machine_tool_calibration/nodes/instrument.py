@@ -244,7 +244,7 @@ class Instrument(ManagedNode):
         text = f"{1e3 * displacement:.6f} mm from the datum"
         self._outcomes.answer([answer], "capture", window.stamp, text, found)
         if self._simulated_time and self._simulated is not None:
-            self._publish_stream(self._simulated.stream())
+            self._publish_stream(self._simulated.averaged)
 
     def _taken(self, window: Window) -> dict[str, object]:
         inputs = {f"{INPUT}{name}": stamp for name, stamp in window.inputs.items()}

@@ -35,6 +35,7 @@ class SimulatedSource:
         self.blocked = False  # whether something stands in the beam
         self.setup, self.setup_index = "", 0  # id of the present setup, and its place in the description
         self.first: float | None = None  # geometric path of the setup's first reading, m
+        self.averaged = NOTHING  # the samples that the last window averaged
         self._origin, self._step = origin, round(_NANO / rate)
         self._sample_noise = sample_noise
         self._poses: deque[Pose] = deque(maxlen=keep)
@@ -143,19 +144,15 @@ class SimulatedSource:
         if start < before.stamp or np.linalg.norm(self._target(last) - self._target(before)) > _NO_MOTION:
             raise NotYet("unstable", f"the axes have not stood still for {length:g} s")
         count = max((end - start) // self._step, 1)
-        self.samples = start + self._step * np.arange(1, count + 1)
+        samples = start + self._step * np.arange(1, count + 1)
         middle = count // 2
-        paths = self._paths(np.insert(self.samples, middle, (start + end) // 2))
+        paths = self._paths(np.insert(samples, middle, (start + end) // 2))
         air = self.site.noise * self._random.normal()
         noise = self._sample_noise * self._random.normal(size=count)
         centre = float(paths[middle])
-        self.values = np.delete(paths, middle) + air + noise
+        self.averaged = Batch(samples, np.delete(paths, middle) + air + noise)
         path, inputs = centre + air + float(noise.mean()), {self.optics.body: end, "beam": self._beam_stamp}
         return Window(start, end, path, float(noise.std()), int(count), inputs)
-
-    def stream(self) -> Batch:
-        """The samples that the last window averaged."""
-        return Batch(self.samples, self.values)
 
     def lose(self, reason: str) -> None:
         """The count is lost."""

@@ -66,12 +66,10 @@ def _motion(
     """Random error motions of an axis; of a linear one between its ends."""
     names, is_linear = error_motions.motion_names(axis), axis in "XYZ"
     if is_linear:
-        along, across, about, tilt = size.positioning, size.straightness, size.angular, size.angular
+        own, shift, turn = size.positioning, size.straightness, size.angular
     else:
-        along = across = size.rotary_translation
-        about, tilt = size.rotary_angle, size.rotary_tilt
-    own = {name: (along, about) if name[1] == axis else (across, tilt) for name in names}
-    amplitudes = [own[name][name[1] in "ABC"] for name in names]
+        own, shift, turn = size.rotary_angle, size.rotary_translation, size.rotary_tilt
+    amplitudes = [own if name[1] == axis else turn if name[1] in "ABC" else shift for name in names]
     if is_linear:
         tables = error_motions.random_smooth(rng, *ends[axis], amplitudes, knots=size.knots)
     else:
