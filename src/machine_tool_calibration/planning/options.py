@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.planning.sensing import Changed, appended, approached, first_repetition, fresh_id
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Description
@@ -190,9 +190,8 @@ def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None
     slow_last = sorted(moving.tolist(), key=lambda j: -moves[j])
     setup = session.readings.setup[rows]
     # Station after station in the order of time, as they were; the last key counts most.
-    first = {int(s): k for k, s in enumerate(dict.fromkeys(setup.tolist()))}
-    station = np.array([first[int(s)] for s in setup])
-    order = np.lexsort([*(np.round(position[:, j], 9) for j in reversed(slow_last)), station])
+    places = (np.round(position[:, j], 9) for j in reversed(slow_last))
+    order = np.lexsort([*places, in_order_of_appearance(setup)])
     rows = rows[order]
     words = say("measure.order", axis="XYZ"[slow_last[-1]])
     return Changed(rows, _approaches(session, rows, setup[order], 1.0)), words
