@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
-from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.instruments.refractive_index import STANDARD_AIR, refractivity
 from machine_tool_calibration.model.observations import Observations
@@ -24,11 +23,11 @@ _MOST_VALUES = 200  # values of a contributor beyond which its readings are take
 
 def shared_errors(observed: Observations) -> SharedErrors | None:
     """What the budget that a session states does to its readings, for choosing a plan; None where it states none."""
-    if not observed.session.description.budget:
+    budget, sigma = observed.session.description.budget, observed.session.sigma
+    if not budget:
         return None
-    sigma = observed.session.sigma
     squares, change = 0.0, []
-    for contributor in known_contributors([observed.session])[0]:
+    for contributor in budget:
         own = pattern(contributor, [observed])
         if own.curvature.any():
             change.append(own.mean)
