@@ -347,7 +347,8 @@ def test_the_bound_of_an_effect_is_that_of_plans_that_tell_it() -> None:
     told, _, _ = all_candidates(offered, Assumed(), ["backlash_x"])
     best = search(offered, told)
     assert best.choice.repeats == 2
-    assert 0.9 * best.largest < bound(offered, told, best) <= best.largest * (1.0 + 1e-9)
+    largest = float(np.sqrt(best.variances.max()))
+    assert 0.9 * largest < bound(offered, told, best) <= largest * (1.0 + 1e-9)
 
 
 def test_places_seen_along_one_line_take_up_what_their_readings_could_tell() -> None:
