@@ -21,8 +21,7 @@ from functools import cache
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, first_of_group
-from machine_tool_calibration.budget.complete import identify
-from machine_tool_calibration.budget.enough import Reached, Until, after_each_setup, reached
+from machine_tool_calibration.budget.enough import Reached, Until, after_each_setup, determined, reached
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
@@ -118,7 +117,7 @@ def measured(procedure: Procedure, site: Site) -> Session:
 def after_each_stage(procedure: Procedure, session: Session, goal: Until) -> list[Reached]:
     """What is known after each stage, up to the one that is enough."""
     every, found = stage_of(procedure), []
-    wanted = 1 if goal.u is None else identify(FitRequest((planned_session(procedure),))).error_map.determined
+    wanted = 1 if goal.u is None else determined(FitRequest((planned_session(procedure),)))
     setup = session.readings.setup
     begin = np.flatnonzero(np.diff(setup, prepend=-1))
     for first, end in zip(begin, [*begin[1:], len(setup)], strict=True):

@@ -97,6 +97,11 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1, *, whole: bool = 
         return found
 
 
+def determined(chosen: FitRequest) -> int:
+    """How many coordinates of the map a session determines."""
+    return complete.identify(chosen).error_map.determined
+
+
 def _told(chosen: FitRequest, names: Sequence[str], whole: bool) -> tuple[dict[str, float], bool]:
     found, _ = complete.diagnose(chosen, progress=untold)
     probabilities, enough = dict.fromkeys(names, 0.0), dict.fromkeys(names, False)
@@ -118,7 +123,7 @@ def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
     """
     session = chosen.sessions[0]
     refuse_idle(find_effects(until.told, chosen.own), chosen.base(session)[0].observations)
-    wanted = complete.identify(chosen).error_map.determined
+    wanted = determined(chosen)
     for part in parts(session):
         whole = len(part.readings) == len(session.readings)
         yield reached(chosen.instead(0, part), until, wanted, whole=whole)

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.budget import complete
-from machine_tool_calibration.budget.enough import Reached, Until, reached
+from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.files import save
@@ -331,8 +330,7 @@ class Stages:
         self._by_hand = is_mounted and not setting.simulated_time
         self._wanted = 1
         if until.u is not None:  # all that the whole procedure determines
-            planned = FitRequest((planned_session(procedure),), None, self._model)
-            self._wanted = complete.identify(planned).error_map.determined
+            self._wanted = determined(FitRequest((planned_session(procedure),), None, self._model))
         self.reached: list[Reached] = []  # after each stage so far
         self._status = StatusTopic(client.node, "until", topic="until/status")
 
