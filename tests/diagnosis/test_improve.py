@@ -279,15 +279,20 @@ def test_where_nothing_is_added_the_diagnosis_is_said() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdict", "p_value", "said"),
-    [("unexplained", 1e-9, "improved.left"), ("adequate", 1e-9, "improved.scatters"), ("adequate", 0.5, None)],
+    ("verdict", "headline", "p_value", "said"),
+    [
+        ("unexplained", "unexplained", 1e-9, ["improved.left", "improved.of_none"]),
+        ("unexplained", "misfit_alone", 1e-9, ["improved.left"]),
+        ("adequate", "", 1e-9, ["improved.scatters"]),
+        ("adequate", "", 0.5, []),
+    ],
 )
 def test_what_was_set_aside_and_what_is_left_are_said_beside_what_was_added(
-    verdict: str, p_value: float, said: str | None, monkeypatch: pytest.MonkeyPatch
+    verdict: str, headline: str, p_value: float, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The residual that fell is that by the effects alone."""
+    """The residual that fell is that by the effects alone; that no effect is named is not said where one was added."""
     monkeypatch.setattr(
-        "machine_tool_calibration.reports.improvement.headline", lambda found: say("diagnosis.unexplained")
+        "machine_tool_calibration.reports.improvement.headline", lambda found: say(f"diagnosis.{headline}")
     )
 
     def step(change: str, rms: float, before: object) -> SimpleNamespace:
@@ -310,7 +315,7 @@ def test_what_was_set_aside_and_what_is_left_are_said_beside_what_was_added(
         "improved.aside",
         "improved.added",
         "improved.residual",
-        *([said] if said else []),
+        *said,
     ]
 
 
