@@ -145,7 +145,7 @@ def _further_node(
     hats = interpolation(wider, x)[np.isin(wider, middle)] * scale
     order = np.lexsort((x, of_pass))
     steps = np.diff(residual[order])[np.diff(of_pass[order]) == 0]
-    noise = max(1.0, float(np.median(np.abs(steps))) / (NORMAL_MEDIAN * np.sqrt(2.0)))
+    noise = max(1.0, float(np.median(np.abs(steps))) / (NORMAL_MEDIAN * np.sqrt(2.0))) if len(steps) else 1.0
     clipped = residual.clip(-_CLIPPED * noise, _CLIPPED * noise)
     outside = hats - (hats @ basis.T) @ basis
     total, squares = outside @ clipped, np.sum(outside**2, axis=1)
