@@ -22,6 +22,7 @@ from machine_tool_calibration.model.result import (
 from machine_tool_calibration.model.widening import BESIDE
 from machine_tool_calibration.reports.quantities import MOST_NAMED, probability, quantity, rounded
 from machine_tool_calibration.reports.quantities import p_value as chance
+from machine_tool_calibration.residuals.scatter import scatter_change
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.words import Said, Verbatim, enumeration, say, together
 
@@ -116,6 +117,15 @@ def vague_words(content: Mapping[str, Any], fit: JointFit) -> Iterator[Said]:
         largest, extent = K * float(np.nanmax(u)), float(np.ptp(places, axis=0).max())
         if largest > max(_VAGUE * extent, _WEAK * K * scatter) and extent > 0.0:
             yield say("fit.vague", U=quantity(largest, "m"), extent=f"{1e3 * extent:.4g} mm")
+
+
+def scatter_change_words(joint: JointFit, memory: float) -> Iterator[Said]:
+    """From where on the readings of each session scatter by another size: nothing of those that scatter alike."""
+    for own, label in zip(joint.fits, joint.assembly.labels or ("",), strict=True):
+        if found := scatter_change(own, memory):
+            key = "scatter_grows" if found.ratio > 1.0 else "scatter_falls"
+            words = say(f"fit.{key}", row=found.row, ratio=rounded(max(found.ratio, 1.0 / found.ratio)))
+            yield together((label, words), ": ") if len(joint.fits) > 1 else words
 
 
 def off_the_map_words(content: Mapping[str, Any]) -> Iterator[Said]:

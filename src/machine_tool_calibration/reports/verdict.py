@@ -16,7 +16,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import fit_quality, one_direction
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
-from machine_tool_calibration.reports.goodness import effect_words, free_words, scatter_words
+from machine_tool_calibration.reports.goodness import effect_words, free_words, scatter_change_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     p_value,
@@ -83,6 +83,8 @@ def verdict_words(
     if (memory := diagnosis.search.memory) >= _MEMORY:
         yield say("diagnosis.memory", n=min(round(memory), len(Pool(diagnosis.search.fit))))
     yield from _noise(diagnosis)
+    if diagnosis.verdict in ("adequate", "outliers"):
+        yield from scatter_change_words(diagnosis.with_found.joint, memory)
     if diagnosis.verdict == "missing_effect" and diagnosis.left:
         yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
 
