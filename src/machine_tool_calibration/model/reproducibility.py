@@ -285,7 +285,10 @@ def _of_direct(observations: Observations, by_order: bool) -> Iterator[Family]:
     run = in_order_of_appearance(run if moved else observations.run)
     ways = in_order_of_appearance(passes_over(observations, moved[0])) if moved else run
     for name, group in (("run", run), ("pass", ways)):
-        if group.max(initial=0) > 1 and _tell(observations.place, group) and (name == "run" or (group != run).any()):
+        fewest = 2 if name == "run" else 3  # what two passes differ by is the direction's
+        if group.max(initial=-1) + 1 < fewest:
+            continue
+        if _tell(observations.place, group) and (name == "run" or (group != run).any()):
             yield _family(observations, name, group, by_order)
 
 

@@ -2,8 +2,8 @@
 """The readings of one or several sessions below each other, as a diagnosis sees them."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from machine_tool_calibration.estimation.serial_correlation import Memory, memor
 from machine_tool_calibration.model.fit import JointFit, changed, screen_columns
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations, neighbours_of
-from machine_tool_calibration.model.reproducibility import reproducibility
+from machine_tool_calibration.model.reproducibility import Family, reproducibility
 from machine_tool_calibration.residuals.averaged import own_of_places
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -106,7 +106,7 @@ class Pool:
         laws leave open, and unknowns of the model that are random functions.
         """
         pairs = zip(self.fit.fits, self.observations, strict=True)
-        every = [(*reproducibility(o), *own_of_places(fit)) for fit, o in pairs]
+        every = [(*_offsets_apart(reproducibility(o), o), *own_of_places(fit)) for fit, o in pairs]
         names = tuple(dict.fromkeys(family.name for own in every for family in own))
         columns, place = [np.zeros((0, len(self)))], [np.zeros(0, dtype=np.int64)]
         for own, piece in zip(every, self.pieces, strict=True):
@@ -167,6 +167,20 @@ class Pool:
         """(k,) squared norms of columns over the declared uncertainty, without the mean of each run."""
         run, scaled = groups(self.run), columns / self.sigma
         return np.array([np.sum((column - means_of(run, column)) ** 2) for column in scaled])
+
+
+def _offsets_apart(families: Sequence[Family], observations: Observations) -> Iterator[Family]:
+    """Those of runs that a machine is read in, with a family of its own for offsets that no setup has.
+
+    A part that is touched, or a zero that is taken anew, is no drift within the runs, and says nothing of one.
+    """
+    setups = len(np.unique(observations.readings.setup))
+    for family in families:
+        apart = family.name == "run" and family.count > setups and family.offsets_of_each < len(family.shapes)
+        if apart and spec_of(observations.session).reads_machine:
+            yield replace(family, name="run offsets", shapes=family.shapes[: family.offsets_of_each])
+            family = replace(family, shapes=family.shapes[family.offsets_of_each :], offsets_of_each=0)
+        yield family
 
 
 def _shown(columns: Array, sigma: Array) -> Array:
