@@ -168,7 +168,26 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
     unless that is a raster over an area: a search looks for these as a pattern.
     """
     families = tuple(family for family in _of_session(observations, True) if not family.name.startswith("rows"))
-    return (*families, *_drift(observations, families), *_curves(observations))
+    return (*families, *_slopes_of_setups(observations), *_drift(observations, families), *_curves(observations))
+
+
+def _slopes_of_setups(observations: Observations) -> tuple[Family, ...]:
+    """A slope of each setup over a single axis of which it reads a part: a scale, a beam or a part that stands aslant.
+
+    Where the setup has an offset in the model. A search looks for these as a pattern.
+    """
+    setup, moved = groups(observations.readings.setup), np.flatnonzero(observations.moved)
+    direct = spec_of(observations.session).reads_machine and not spec_of(observations.session).centred
+    if not direct or len(moved) != 1 or not setup.max(initial=0) or _datum(observations) != "offset":
+        return ()
+    position = observations.position[:, moved[0]]
+    slope = 2.0 * (position - means_of(setup, position)) / np.ptp(position)
+    return (Family("setup", setup, slope[None], offsets_of_each=0),)
+
+
+def _datum(observations: Observations) -> str | None:
+    """What a session of directly read deviations knows of their zero."""
+    return getattr(observations.session.description, "datum", None)
 
 
 def _drift(observations: Observations, families: Sequence[Family]) -> tuple[Family, ...]:
@@ -308,7 +327,7 @@ def _moved_aside(observations: Observations, family: Family) -> Family:
 def _setups(observations: Observations) -> Iterator[Family]:
     """Offsets of setups that read the same as others, in several runs each, and have no offset in the model."""
     readings, same = observations.readings, observations.readings.alike(setup=False)
-    if getattr(observations.session.description, "datum", None) != "none" or not len(readings):
+    if _datum(observations) != "none" or not len(readings):
         return
     setup = groups(readings.setup)
     several = np.bincount(np.unique(np.stack([same, setup]), axis=1)[0])[same] > 1

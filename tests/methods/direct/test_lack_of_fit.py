@@ -131,3 +131,23 @@ def test_a_step_between_two_runs_is_no_drift(axes: str, step: float) -> None:
         terms = ["EXX"] if axes == "x" else ["EXX", "EXY"]
         found = diagnose(plates.session(columns, 1e-6, "offset", terms, run, repeats=2))
         assert not found.accepted and found.search.of("linear_drift").probability < 0.5
+
+
+def test_setups_that_stand_aslant_are_in_u() -> None:
+    """Three setups that overlap, each read three times: that they repeat says nothing of how aslant each stands.
+
+    U had held at two places of three, the sizes of what differs being those within a setup.
+    """
+    within = []
+    for seed in range(12):
+        rng, rows = np.random.default_rng(seed), []
+        for setup, first in enumerate((0.0, 0.1, 0.2)):
+            at, aslant = first + np.linspace(0.0, 0.3, 7), 12e-6 * rng.normal()
+            rows += [(setup, k, x, aslant * x + 1e-6 * rng.normal()) for k in range(3) for x in at]
+        setup, again, x, read = np.array(rows).T
+        columns = {"x": x, "gx": np.ones(len(x)), "gy": np.zeros(len(x)), "gz": np.zeros(len(x)), "displacement": read}
+        each = {"setup": setup.astype(int).tolist(), "repeats": 3}
+        found = fit_sessions(FitRequest.of(plates.session(columns, 1e-6, "offset", ["EXX"], again, *"ABC", **each)))
+        off = found.error_map.error[:, 0] - found.error_map.error[:, 0].mean()
+        within.append(np.mean(np.abs(off) < 2.0 * found.error_map.uncertainty[:, 0]))
+    assert np.mean(within) > 0.75
