@@ -250,12 +250,7 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
     if _of_area(solved) or explained < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = known.unrepeated[own] & np.array([names[was[k]] != CURVES for k in own], dtype=bool)
     tau = np.zeros((len(known.weights), u))
-    # In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too,
-    # unless the machine itself was read again.
-    again = _direct(solved) & ~known.unrepeated[own]
-    tau[:, runs] = (
-        known.ratios[:, own] / scatter * np.where(again, known.found.noise, plain * min(known.found.noise, 1.0))
-    )
+    tau[:, runs] = _over_scatter(known, own, plain, _direct(solved)) / scatter
     if imperfect.any():  # in those of what readings scatter by: the lack of fit, of places, grows with their repeats
         both = np.append(runs, np.flatnonzero(imperfect))
         tau[:, imperfect] = misfit(projected, both, own, tuple(known.ratios[0]), dof) * plain / scatter
@@ -274,6 +269,18 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
         instead = (by * solved.alternatives.probability / scatter**2) @ by.T
     ratio = np.sqrt(known.weights @ tau**2)
     return _Marginal(mean, covariance, scatter, sizes, random, known.squares, ratio, estimator, instead)
+
+
+def _over_scatter(known: _Probable, own: IntArray, plain: float, direct: bool) -> Array:
+    """(s, u) standard deviations of the coefficients of what does not reproduce, over those declared.
+
+    In units of the noise, of which places that differ make no more; what a model misses differs from run to run, too,
+    unless the machine itself was read again. Each coefficient is of its `own` family (u,), and readings scatter by
+    `plain` beside them.
+    """
+    noise = known.found.noise
+    again = ~known.unrepeated[own] & direct
+    return np.asarray(known.ratios[:, own] * np.where(again, noise, plain * min(noise, 1.0)))
 
 
 def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:
