@@ -2,10 +2,13 @@
 """Residuals of several sessions below each other."""
 
 import numpy as np
+import pytest
 
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.residuals.pool import IMPERFECT, Pool
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+from .. import plates
 
 
 def test_runs_and_setups_of_several_sessions_are_different_ones() -> None:
@@ -32,3 +35,20 @@ def test_what_does_not_reproduce_is_counted_in_standard_uncertainties_of_each_se
     assert (owned.sum(axis=1) == 1).all() and owned.any(axis=0).all()
     size = np.array([np.sqrt(np.mean((row / sigma)[row != 0] ** 2)) for row in columns])
     assert ((size > 0.2) & (size < 3.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("timed", "setups", "apart"), [(True, False, True), (True, True, False), (False, False, False)]
+)
+def test_offsets_of_runs_have_a_size_of_their_own(timed: bool, setups: bool, apart: bool) -> None:
+    """Not where the setup has them already, nor where nothing but offsets is known of the runs."""
+    run, x = np.repeat([0, 1, 2], 6), np.tile(np.linspace(0.0, 0.5, 6), 3)
+    columns = {"x": x, "gx": np.ones(18), "gy": np.zeros(18), "gz": np.zeros(18)}
+    columns |= {"time": 10.0 * np.arange(18)} if timed else {}
+    columns["displacement"] = 1e-6 * np.random.default_rng(0).normal(size=18)
+    names, each = ("ABC", {"setup": run.tolist()}) if setups else ("A", {})
+    repeat = None if setups else run
+    session = plates.session(columns, 1e-6, "offset", ["EXX"], repeat, *names, **each, repeats=1 if setups else 3)
+    pool = Pool(fit_sessions(FitRequest.of(session)).joint)
+    assert ("run offsets" in pool.spread[2]) == apart
+    assert len(pool.spread[0]) == len(pool.spread[1])

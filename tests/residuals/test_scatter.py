@@ -42,6 +42,10 @@ def test_scatter_that_is_alike_is_none_whatever_its_tails() -> None:
     assert not any(change(measured(seed, single)) for seed in range(20))
 
 
+def test_few_readings_tell_nothing() -> None:
+    assert change(measured(0, np.where(np.arange(15) < 8, 1.0, 30.0))) is None
+
+
 def test_readings_that_are_alike_tell_less() -> None:
     session = measured(1, np.where(np.arange(100) < 50, 1.0, 6.0))
     assert change(session) is not None and change(session, 20.0) is None
