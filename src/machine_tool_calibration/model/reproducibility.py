@@ -303,11 +303,10 @@ def _of_direct(observations: Observations, by_order: bool) -> Iterator[Family]:
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
     run = in_order_of_appearance(run if moved else observations.run)
     ways = in_order_of_appearance(passes_over(observations, moved[0])) if moved else run
-    for name, group in (("run", run), ("pass", ways)):
-        fewest = 2 if name == "run" else 3  # what two passes differ by is the direction's
-        if group.max(initial=-1) + 1 < fewest:
-            continue
-        if _tell(observations.place, group) and (name == "run" or (group != run).any()):
+    # Two runs there and back differ by what their passes do, and two passes by what the direction does.
+    families = [("run", run, 2)] if np.array_equal(ways, run) else [("run", run, 3), ("pass", ways, 3)]
+    for name, group, fewest in families:
+        if group.max(initial=-1) + 1 >= fewest and _tell(observations.place, group):
             yield _family(observations, name, group, by_order)
 
 
