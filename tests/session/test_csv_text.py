@@ -87,7 +87,18 @@ def test_small_tables() -> None:
 def test_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
     frame = pd.DataFrame({"a": [1e-7, np.nan], "b": ["x", "y,z"]})
     monkeypatch.setattr(csv_text, "arrow", None)
-    assert written(frame) == 'a,b\n1e-07,x\n,"y,z"\n'
+    assert written(frame) == 'a,b\n1e-7,x\n,"y,z"\n'
+
+
+def test_numbers_have_the_same_text_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum of a measurement's data is of its text, and must not depend on what is installed."""
+    rng, sizes = np.random.default_rng(0), 10.0 ** np.random.default_rng(1).integers(-12, 13, 500)
+    edges = [0.0, -0.0, 1.0, -1.0, 1e-6, 9.999e-7, 1e-7, 9999999999.5, 1e10, 1e15, 1e22, 5e-324, 1.7e308, np.nan]
+    values = np.array([*edges, *(rng.normal(size=500) * sizes)])
+    frame = pd.DataFrame({"a": values, "n": np.arange(len(values)), "t": ["x"] * len(values)})
+    by_arrow = written(frame)
+    monkeypatch.setattr(csv_text, "arrow", None)
+    assert written(frame) == by_arrow
 
 
 # Not a carriage return, which pandas leaves without quotes, so that a reader would end the line there.
