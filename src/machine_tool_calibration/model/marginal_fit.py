@@ -42,6 +42,11 @@ class Solved:
     random: RandomUnknowns | None = None  # unknowns that are small random functions; None without any
     alternatives: Alternatives | None = None  # what effects in the model may be instead; None where nothing is said
 
+    @property
+    def reads_machine(self) -> bool:
+        """Whether the machine itself is read, in all sessions."""
+        return all(spec_of(model.observations.session).reads_machine for model in self.assembly.models)
+
     def normalised(self, index: int) -> Array:
         """(n,) measured minus predicted over the declared uncertainty, of a session."""
         return scaled_residuals(self.assembly.problem.parts[index], self.solution.theta, self.solution.local[index])
@@ -133,7 +138,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     if u or solved.random is not None:
         found = _average_over_sizes(solved, problem, wider)
     else:
-        again = [one.whole(float(one.gram[-1, -1]), one.dof) for one in _of_repeats(solved, ()) if one is not None]
+        again = [one.whole(float(one.gram[-1, -1]), one.dof) for one in _of_repeats(solved, ())]
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom, again)
         none, known, left = np.zeros(0), solution.covariance, solution.chi_square
         found = _Marginal(np.zeros_like(theta), known, scatter, (), None, left, none, known, np.zeros_like(known))
@@ -198,11 +203,12 @@ class _Probable:
     unrepeated: BoolArray  # (families,) those of which readings of the same thing tell nothing
 
 
-def _probable_sizes(outside: Gram, repeated: Sequence[PureError | None], absorbed: BoolArray, most: int) -> _Probable:
+def _probable_sizes(outside: Gram, repeated: Sequence[PureError], absorbed: BoolArray, most: int) -> _Probable:
     """Readings of the same thing in one setup tell the sizes where there are such, else all of them do."""
     families = int(outside.family.max(initial=-1)) + 1
-    pure = [None if one is None else one.outside(absorbed, outside.family) for one in repeated]
-    same = outside if not pure or pure[0] is None or not families else pure[0]
+    pure = [one.outside(absorbed, outside.family) for one in repeated]
+    in_setups = (own for one, own in zip(repeated, pure, strict=True) if families and one.in_setups)
+    same = next(in_setups, outside)
     shown, whole = (np.bincount(outside.family, np.diag(one.inner), families) for one in (same, outside))
     unrepeated = shown < _LEAST_SHARE_LEFT * whole
     found = components(outside if unrepeated.all() else same)
@@ -213,8 +219,7 @@ def _probable_sizes(outside: Gram, repeated: Sequence[PureError | None], absorbe
     weights = found.weights[order] / found.weights[order].sum()
     tried = [found.ratios[k] for k in order]
     squares = float(weights @ [left_at(outside, ratio)[1] for ratio in tried])
-    pairs = [(one, own) for one, own in zip(repeated, pure, strict=True) if one is not None and own is not None]
-    again = [one.whole(left_at(own, tried[0])[1], own.dof) for one, own in pairs]
+    again = [one.whole(left_at(own, tried[0])[1], own.dof) for one, own in zip(repeated, pure, strict=True)]
     ratios: Array = np.array(tried).reshape(len(tried), families)
     return _Probable(found, ratios, weights, squares, again, unrepeated | (same is outside))
 
@@ -250,7 +255,7 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
     if _of_area(solved) or explained < priors.MOST_OF_THE_EXCESS * (solution.chi_square - dof):
         unmoved[runs] = known.unrepeated[own] & np.array([names[was[k]] != CURVES for k in own], dtype=bool)
     tau = np.zeros((len(known.weights), u))
-    tau[:, runs] = _over_scatter(known, own, plain, _direct(solved)) / scatter
+    tau[:, runs] = _over_scatter(known, own, plain, solved.reads_machine) / scatter
     if imperfect.any():  # in those of what readings scatter by: the lack of fit, of places, grows with their repeats
         both = np.append(runs, np.flatnonzero(imperfect))
         tau[:, imperfect] = misfit(projected, both, own, tuple(known.ratios[0]), dof) * plain / scatter
@@ -384,29 +389,25 @@ def _with_random(
     return found, step, covariance
 
 
-def _of_repeats(solved: Solved, families: Sequence[str]) -> list[PureError | None]:
-    """Readings of the same thing in one setup, and of what is read directly in any setup.
+def _of_repeats(solved: Solved, families: Sequence[str]) -> list[PureError]:
+    """Readings of the same thing in one setup, and of what is read directly in any setup, where these are enough.
 
-    None where there are too few; nothing where runs have constants of their own, which are not among `families`.
+    Nothing where runs have constants of their own, which are not among `families`.
     """
     observed = [model.observations for model in solved.assembly.models]
-    if not (families or _direct(solved)):
+    if not (families or solved.reads_machine):
         return []
     setups = max(len(np.unique(one.readings.setup)) for one in observed)
-    ways = (True, False) if _direct(solved) and 1 < setups <= _MOST_SETUPS else (True,)
+    ways = (True, False) if solved.reads_machine and 1 < setups <= _MOST_SETUPS else (True,)
     left = [solved.normalised(k) for k in range(len(observed))]
-    return [of_repeats(observed, left, families, in_setups=way) for way in ways]
-
-
-def _direct(solved: Solved) -> bool:
-    """Whether the machine itself is read."""
-    return all(spec_of(model.observations.session).reads_machine for model in solved.assembly.models)
+    every = (of_repeats(observed, left, families, in_setups=way) for way in ways)
+    return [one for one in every if one is not None]
 
 
 def _of_area(solved: Solved) -> bool:
     """Whether it is read along two axes or more, and not on circles, on which one sets the other."""
     observed = [model.observations for model in solved.assembly.models]
-    return _direct(solved) and all(o.moved.sum() > 1 and not spec_of(o.session).centred for o in observed)
+    return solved.reads_machine and all(o.moved.sum() > 1 and not spec_of(o.session).centred for o in observed)
 
 
 def _scatter(squares: float, dof: int, again: Sequence[tuple[float, float]] = ()) -> float:

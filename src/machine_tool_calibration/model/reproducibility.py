@@ -101,6 +101,7 @@ class PureError:
     gram: Array
     dof: int  # degrees of freedom
     lost: int = 0  # those of readings that were left out, as there are many
+    in_setups: bool = True  # whether what is read again is so in one setup; else in any
 
     def whole(self, squares: float, dof: float) -> tuple[float, float]:
         """A sum of squares and its degrees of freedom, as they are with the readings that were left out."""
@@ -231,7 +232,7 @@ def of_repeats(
         return None
     whole = block_diag(*(c @ c.T for c in columns), sum(r @ r for r in left))
     whole[-1, :-1] = whole[:-1, -1] = np.concatenate([c @ r for c, r in zip(columns, left, strict=True)])
-    return PureError(whole, dof, lost)
+    return PureError(whole, dof, lost, in_setups)
 
 
 def _beside_setups(values: Array, place: IntArray, setup: IntArray) -> tuple[Array, int]:

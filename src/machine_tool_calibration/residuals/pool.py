@@ -49,7 +49,7 @@ class Pool:
     @property
     def side_by_side(self) -> bool:
         """Whether many effects are expected at once: the machine itself is read."""
-        return all(spec_of(o.session).reads_machine for o in self.observations)
+        return self.fit.reads_machine
 
     @cached_property
     def sigma(self) -> Array:
