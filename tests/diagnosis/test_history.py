@@ -6,6 +6,7 @@ from machine_tool_calibration.diagnosis.history import Entry, History, Part
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import joint_models
 from machine_tool_calibration.simulation import SimulationSpec, simulate
+from machine_tool_calibration.words import words
 
 
 def entry(*effects: str, rms: float = 1e-6, data: str = "sha256-1", **changes: object) -> Entry:
@@ -50,6 +51,17 @@ def test_the_same_model_is_not_kept_twice_but_another_outcome_is() -> None:
     assert len(once.grown([]).models) == 2
 
 
+def test_what_changed_is_said_in_the_language_of_the_reader() -> None:
+    """By keys, not in the words of the command that made it."""
+    first, aside = entry(change="as recorded"), entry(change="2 readings set aside", set_aside=(4, 5))
+    added = entry("backlash_y", set_aside=(4, 5))
+    spread = entry("backlash_y", set_aside=(4, 5), change="+ in U", alternatives={"": {"dead_path": 0.4}})
+    told = [one.changed(before) for one, before in ((aside, None), (aside, first), (added, aside), (spread, added))]
+    german = [words("de").told(one) for one in told]
+    assert german == ["2 Ablesungen beiseitegelegt"] * 2 + ["backlash_y", "+ in U, was es geben kann"]
+    assert first.changed(None) == "as recorded"
+
+
 @pytest.mark.parametrize(
     ("alternatives", "why"),
     [
@@ -62,6 +74,18 @@ def test_the_same_model_is_not_kept_twice_but_another_outcome_is() -> None:
 def test_what_an_effect_may_be_instead_is_checked(alternatives: dict[str, dict[str, float]], why: str) -> None:
     with pytest.raises(ValidationError, match=why):
         entry("linear_drift", alternatives=alternatives)
+
+
+def test_rows_that_the_readings_have_not_are_refused() -> None:
+    plan = {"method": "direct", "kind": "iso230_2", "axis": "x", "repeats": 3, "count": 6, "chain": "w-X-Y-b-Z-t"}
+    session = simulate(SimulationSpec.model_validate({"seed": 1, "plan": plan})).session
+    known = entry(data="own", model="tables", set_aside=(3,))
+    assert 3 not in known.request([session], ["A"], ["own"]).sessions[0].readings.row
+    for rows in ({"set_aside": (3, 999)}, {"kept": (999,)}):
+        with pytest.raises(ModelError, match="model 1 of the history names row 999"):
+            known.model_copy(update=rows).request([session], ["A"], ["own"])
+        # Of other readings, some may be new or gone.
+        assert known.model_copy(update=rows).request([session], ["A"], ["others"])
 
 
 def test_a_history_that_contradicts_itself_is_refused() -> None:

@@ -84,11 +84,14 @@ class Entry(Record):
 
     def changed(self, parent: Entry | None) -> str:
         """What it has and its parent has not, for people: by keys where effects or readings say it."""
-        if parent is None:
+        if parent is None and (self.effects or not self.readings_aside):
             return self.change or say("step.first")
-        added = [name for name in self.effects if name not in parent.effects]
-        aside = self.readings_aside - parent.readings_aside
+        before = parent or Entry.model_construct(number=0)
+        added = [name for name in self.effects if name not in before.effects]
+        aside = self.readings_aside - before.readings_aside
         told = [*added, *([say("step.set_aside", n=aside)] if aside > 0 else [])]
+        if not told and self.alternatives.get("") and not before.alternatives.get(""):
+            told = [say("step.may_be")]
         return together(told, ", ") if told else Verbatim(self.change)
 
     def request(
@@ -107,9 +110,11 @@ class Entry(Record):
 
         said = self._of_sessions(prints, labels)
         kept = []
-        for session, one in zip(sessions, said, strict=True):
+        for session, one, own_data in zip(sessions, said, prints, strict=True):
             if one is not None:
                 rows = session.readings.row.tolist()
+                if one.data == own_data and (unknown := {*one.set_aside, *one.kept}.difference(rows)):
+                    raise ModelError(f"model {self.number} of the history names row {min(unknown)}: there is none")
                 session = session.keeping(set(one.kept).intersection(rows))
                 aside = np.isin(rows, [row for row in one.set_aside if row not in session.sound])
                 session = session.without(aside) if aside.any() else session

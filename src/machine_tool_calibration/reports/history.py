@@ -146,6 +146,7 @@ _FIGURES: dict[str, Callable[[Entry], str]] = {
 
 def tried_models(models: Sequence[Entry], current: int | None) -> TextTable:
     """Models of a history, one a row, with a mark at the one in use; a model stands twice where one went back to it."""
+    known: dict[int | None, Entry] = {entry.number: entry for entry in models}
     return table(
         say("history.tried"),
         models,
@@ -155,7 +156,7 @@ def tried_models(models: Sequence[Entry], current: int | None) -> TextTable:
         made=lambda entry: entry.made.replace("T", " ")[:16],
         variant=lambda entry: entry.model,
         effects=lambda entry: ", ".join(entry.effects) or "–",
-        change=lambda entry: entry.change or say("step.first"),
+        change=lambda entry: entry.changed(known.get(entry.parent)),
         readings=lambda entry: str(entry.used),
         residual=lambda entry: micrometres(entry.rms_residual),
         chi=lambda entry: rounded(entry.reduced_chi_square),
