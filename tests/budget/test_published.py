@@ -57,6 +57,7 @@ def test_an_axis_with_its_figures() -> None:
     for figure in ("B", "B_mean", "R", "E", "M", "A"):
         assert of(published, f"{figure}_X") == (run[figure], run[f"{figure}_U"] / 2)
         assert figure_of(f"{figure}_X") == figure_of(f"{figure}_X.second") == figure
+    assert published.quantity("B_X").figure == "B" and published.quantity("EXX").figure is None
     assert figure_of("EXX") is None and figure_of("B_C") is None
     exx, place = published.quantity("EXX"), published.quantity("position_error")
     assert [exx.where(k) for k in (0, 3)] == ["at 0 mm", "at 400 mm"]

@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget.complete import completed
+from machine_tool_calibration.budget.conformity import Verdict, conformity
+from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import find_effects
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.importing.build import Imported, import_table
 from machine_tool_calibration.importing.mapping import parse_mapping
 from machine_tool_calibration.methods.ball_bar.circle import way_over_time
 from machine_tool_calibration.methods.ball_bar.iso230_4 import _mean_path
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.forecast import Assumed, forecast
@@ -24,11 +28,13 @@ from machine_tool_calibration.procedure.description import read_procedure
 from machine_tool_calibration.procedure.steps import plan
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.description import BallBar, Place
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.spec import FlawSpec
+from machine_tool_calibration.trends.statement import sizes_of
 
 ROOT = Path(__file__).parents[2]
 RADIUS, SIGMA, FEED, REACH = 0.15, 2e-7, 0.02, 0.01
@@ -500,3 +506,48 @@ def test_circles_that_repeat_what_no_effect_does_are_unexplained() -> None:
         twice, repeat=np.repeat([0, 1], 480), row=np.arange(960), displacement=twice.displacement + noise
     )
     assert diagnose(session.with_readings(readings)).verdict == "unexplained"
+
+
+def test_the_figures_have_tolerances_a_budget_and_a_trend() -> None:
+    """An oval of the XY plane by its squareness, G = C R; with a bar whose length is known G, H and F, D differ."""
+    circles, squareness, known = Circles("XY", "YZ"), 40e-6, 0.5e-6
+    error = np.zeros((len(circles.angle), 3))
+    error[:, 1] = np.where(circles.setup == "XY", squareness * circles.arm[:, 0], 0.0)
+    noise = SIGMA * np.random.default_rng(4).standard_normal(len(error))
+    session = circles.session(circles.length(error) + noise, length_uncertainty=known)
+    fitted, result = fit_sessions(session), identify(session)
+    published = {(one["setup"], one["name"]): one for one in result.error_map.content["figures"]}
+
+    def judged(tolerances: dict[str, float], enters: str, u: float) -> dict[str, Verdict]:
+        budget = propagate(fitted, [contributor(enters, u)])
+        return {one.name: one for one in conformity(fitted, tolerances, budget=budget).each}
+
+    def contributor(enters: str, u: float) -> Contributor:
+        return Contributor(name=enters, type="B", standard_uncertainty=u, enters=enters, varies="never")
+
+    tolerances = {"G_b": 5e-6, "F_max_cw.XY": 5e-6, "D": 2e-6}
+    found = judged(tolerances, "length", 1e-15)
+    assert list(found) == ["G_b.XY", "G_b.YZ", "F_max_cw.XY", "D.XY", "D.YZ"]
+    assert {name: one.decision for name, one in found.items()} == {
+        "G_b.XY": "fail", "G_b.YZ": "pass", "F_max_cw.XY": "pass", "D.XY": "pass", "D.YZ": "pass"
+    }  # fmt: skip
+    assert abs(found["G_b.XY"].value - squareness * RADIUS) < 2.0 * found["G_b.XY"].u + 4.0 * SIGMA
+    for name, one in found.items():
+        figure, _, setup = name.partition(".")
+        assert (one.value, one.u) == pytest.approx(
+            [published[setup, figure][k] / n for k, n in (("value", 1), ("U", 2))]
+        )
+    # What all readings have in common is none of a range, and all of a length.
+    longer = judged(tolerances, "reading", 3e-6)
+    assert longer["G_b.XY"].u == pytest.approx(found["G_b.XY"].u, rel=1e-6)
+    assert longer["D.XY"].u == pytest.approx(np.hypot(found["D.XY"].u, 3e-6), rel=1e-2)
+    assert longer["D.XY"].decision == "undecided"
+    more = completed(result, propagate(fitted, [contributor("reading", 3e-6)])).error_map.content["figures"]
+    stated = {(one["setup"], one["name"]): one["U"] / 2.0 for one in more}
+    for name, one in longer.items():
+        assert stated[name.partition(".")[2], name.partition(".")[0]] == pytest.approx(one.u, rel=1e-6)
+    followed = {size.name: size for size in sizes_of(result)}
+    assert followed["G_b.XY"].value == published["XY", "G_b"]["value"]
+    assert {"G_ccw.XY", "G_cw.YZ", "H.XY"} <= followed.keys()
+    with pytest.raises(ModelError, match=r"'G' is no figure .* G_ccw, .* of ISO 230-4 \(G_b.XY for one setup\)"):
+        conformity(fitted, {"G": 1e-6})

@@ -14,7 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
-from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR
+from machine_tool_calibration.budget.published import CIRCULAR_FIGURES, DIAGONAL_FIGURES, FIGURES, POSITION_ERROR
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
@@ -148,7 +148,7 @@ def _content(
     if "iso230_7" in content:
         out["iso230_7"] = [_range(one, more) for one in content["iso230_7"]]
     if "figures" in content:
-        out["figures"] = [_of_cause(one, more, before) for one in content["figures"]]
+        out["figures"] = [_of_circle(one, more, before) for one in content["figures"]]
     return out
 
 
@@ -163,8 +163,11 @@ def _run(run: Mapping[str, Any], more: Mapping[str, Array], figures: Mapping[str
     return out
 
 
-def _of_cause(one: Mapping[str, Any], more: Mapping[str, Array], before: Mapping[str, Array]) -> dict[str, Any]:
-    """What a cause of one unknown adds to a figure of ISO 230-4: known as well as the unknown is."""
+def _of_circle(one: Mapping[str, Any], more: Mapping[str, Array], before: Mapping[str, Array]) -> dict[str, Any]:
+    """A figure of ISO 230-4, or what a cause of one unknown adds to it: known as well as the unknown is."""
+    if one["name"] in CIRCULAR_FIGURES:
+        square = more.get(f"{one['name']}.{one['setup']}", more.get(one["name"], np.zeros(1)))
+        return {**one, "U": float(K * _grown(one["U"] / K, square[0]))}
     cause = str(one["name"]).removeprefix("G_b of ")
     u = before.get(cause, np.zeros(0))
     return {**one, "U": one["U"] * float(_grown(u, more[cause])[0] / u[0])} if u.size == 1 and u[0] > 0.0 else dict(one)

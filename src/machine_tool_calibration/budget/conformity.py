@@ -92,6 +92,7 @@ class _Figure:
     members: IntArray  # (k,) places in the vector of published numbers
     kind: _Kind | None  # how it is worked out of many; None for a single number
     signed: bool  # whether the tolerance is for its absolute value
+    of_readings: bool = False  # whether it is of the readings themselves, by a standard, and rests on no model
 
 
 def decide(value: float, tolerance: float, probability: float, rule: str, level: float) -> str:
@@ -123,9 +124,10 @@ def conformity(
 ) -> Conformity:
     """Hold what was identified against tolerances.
 
-    Where the readings contradict the model, nothing that rests on it passes or fails; the figures of ISO 230-2 and
-    ISO 230-6 are of the readings themselves. Tolerances, m or rad, are by name: of an error motion (the range over its
-    axis), a squareness (its absolute value), a figure of ISO 230-2 (`A` of all axes, `A_X` of one), or `volumetric`.
+    Where the readings contradict the model, nothing that rests on it passes or fails; the figures of ISO 230-2,
+    ISO 230-4 and ISO 230-6 are of the readings themselves. Tolerances, m or rad, are by name: of an error motion (the
+    range over its axis), a squareness (its absolute value), a figure of ISO 230-2 (`A` of all axes, `A_X` of one) or of
+    ISO 230-4 (`G_b` of all setups, `G_b.XY` of one), or `volumetric`.
     The uncertainties are those of the budget, or what the readings show where that is more; without one they lack what
     instrument and temperature add, and every tolerance stays undecided. A ModelError: no tolerance, nothing of that
     name has one, one that is not positive, or a rule (`RULES`, `level` its conformance probability) that is none.
@@ -164,7 +166,7 @@ class _Conformity:
         return only_if_right(self.fitted.joint.p_value, self.fitted.error_map.content)
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
-        """Of one tolerance: one, or one for every run of ISO 230-2."""
+        """Of one tolerance: one, or one for every run of ISO 230-2 and setup of ISO 230-4."""
         nothing = _Figure(name, published.unit_of(name), np.zeros(0, dtype=np.int64), None, signed=False)
         return [self.verdict(figure, tolerance, rule, level) for figure in self.figures(name) or [nothing]]
 
@@ -177,18 +179,15 @@ class _Conformity:
             return [self.of(known[name], None, signed=True)] if name in known else []
         if name in ERROR_MOTIONS:
             return self.motion(name)
-        base = published.figure_of(name) or name
-        if base in published.FIGURES or base in published.DIAGONAL_FIGURES:
-            own = [
-                q
-                for q in known.values()
-                if f"{q.name}.".startswith(f"{name}.") or (name == base and published.figure_of(q.name) == base)
-            ]
-            return [self.of(q, None, signed=base == "B_mean") for q in own]
-        allowed = [*ERROR_MOTIONS, *SQUARENESS, *published.FIGURES, *published.DIAGONAL_FIGURES, VOLUMETRIC]
+        figures = (*published.FIGURES, *published.DIAGONAL_FIGURES, *published.CIRCULAR_FIGURES)
+        if name in figures or published.figure_of(name):
+            own = [q for q in known.values() if q.figure and (name == q.figure or f"{q.name}.".startswith(f"{name}."))]
+            return [self.of(q, None, signed=q.figure in published.SIGNED) for q in own]
+        allowed = [*ERROR_MOTIONS, *SQUARENESS, *figures, VOLUMETRIC]
         raise ModelError(
             f"{name!r} is no figure with a tolerance{did_you_mean(name, allowed)}: an error motion or squareness of "
-            f"ISO 230-1, {', '.join(published.FIGURES)} of ISO 230-2 (A_X for one axis), or {VOLUMETRIC}"
+            f"ISO 230-1, {', '.join(published.FIGURES)} of ISO 230-2 (A_X for one axis), "
+            f"{', '.join(published.CIRCULAR_FIGURES)} of ISO 230-4 (G_b.XY for one setup), or {VOLUMETRIC}"
         )
 
     def motion(self, name: str) -> list[_Figure]:
@@ -196,7 +195,7 @@ class _Conformity:
         known, axis = self.numbers.by_name, name[2].lower()
         mean = known.get(f"M_{name[2]}") if name[1] == name[2] else None
         if mean is not None and name in known and self.same(mean, known[name]):
-            return [replace(self.of(mean, None), name=name)]  # one number has one uncertainty
+            return [replace(self.of(mean, None), name=name, of_readings=False)]  # one number has one uncertainty
         if name in known and known[name].at is not None and known[name].count == 1:
             return []  # at one position there is no range
         if name in known and known[name].count > 1:
@@ -224,7 +223,7 @@ class _Conformity:
 
     def of(self, q: published.Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""
-        return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), kind, signed)
+        return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), kind, signed, q.figure is not None)
 
     def volumetric(self, q: published.Quantity) -> _Figure:
         """The largest length of the position error, in the directions measured; undetermined by a point with a gap."""
@@ -262,7 +261,7 @@ class _Conformity:
             u = float(high - low) / 4.0
         if self.budget is None:
             return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", INCOMPLETE)
-        if self.doubtful and published.figure_of(name) is None:
+        if self.doubtful and not figure.of_readings:
             return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", ONLY_IF_RIGHT)
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
@@ -297,7 +296,7 @@ class _Conformity:
             return draw_readings(self.fitted, contributors, _SAMPLES, self.seed).deviation
         # by the joint distribution of all unknowns as it is published
         rng = np.random.default_rng(self.seed)
-        mapped = sum(q.count for q in self.numbers.quantities if published.figure_of(q.name) is None)
+        mapped = sum(q.count for q in self.numbers.quantities if q.figure is None)
         out = np.zeros((_SAMPLES, len(self.numbers.value)))
         for k, joint in enumerate(drawn(self.fitted.joint, rng, _SAMPLES)):
             self.progress("drawing", k / _SAMPLES)

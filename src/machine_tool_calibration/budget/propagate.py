@@ -21,7 +21,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.budget.patterns import Pattern, pattern
-from machine_tool_calibration.budget.published import Numbers, Quantity, everything, figure_of, iso_numbers, numbers
+from machine_tool_calibration.budget.published import Numbers, Quantity, everything, iso_numbers, numbers
 from machine_tool_calibration.coverage import COVERAGE
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
@@ -225,7 +225,7 @@ class _Propagation:
         self.known = np.zeros(0) if priors is None else priors.sigma
         self.points = any(part.dimension for part in self.joint.assembly.problem.parts)
         self.published = everything(fitted)
-        count = sum(q.count for q in self.published.quantities if figure_of(q.name))
+        count = sum(q.count for q in self.published.quantities if q.figure is not None)
         self.iso = slice(len(self.published.value) - count, len(self.published.value))
         self.repeatability = np.zeros(len(self.published.value))
         self.repeatability[self.iso] = np.nan_to_num(self.published.u[self.iso])

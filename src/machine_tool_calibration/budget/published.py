@@ -16,6 +16,8 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS
+from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests
+from machine_tool_calibration.methods.ball_bar.model import CircleModel
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.iso230_2 import positioning_runs
 from machine_tool_calibration.model.fit import JointFit
@@ -29,7 +31,14 @@ FIGURES = ("B", "B_mean", "R", "R_up", "R_down", "E", "E_up", "E_down", "M", "A"
 DIAGONAL_FIGURES = {"E_D": "E", "E_D_up": "E_up", "E_D_down": "E_down", "B_D": "B"}
 """Figures of ISO 230-6:2002 with those of one diagonal, as of an axis, that they are (`E_D_PPP`)."""
 
-_FIGURE = re.compile(rf"(?:({'|'.join(FIGURES)})_[XYZ]|({'|'.join(DIAGONAL_FIGURES)})_[PN0]{{3}})(?:\..*)?")
+CIRCULAR_FIGURES = ("G_ccw", "G_cw", "G_b", "H", "F_max_ccw", "F_max_cw", "F_min_ccw", "F_min_cw", "D")
+"""Figures of ISO 230-4:2005, of each setup where there are several (`G_b.XY`)."""
+SIGNED = ("B_mean", "F_max_ccw", "F_max_cw", "F_min_ccw", "F_min_cw", "D")
+"""Figures of which a tolerance is for the absolute value."""
+
+_FIGURE = re.compile(
+    rf"(?:({'|'.join(FIGURES)})_[XYZ]|({'|'.join(DIAGONAL_FIGURES)})_[PN0]{{3}}|({'|'.join(CIRCULAR_FIGURES)}))(?:\..*)?"
+)
 _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 
 
@@ -37,12 +46,13 @@ _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 class Quantity:
     """Numbers that are published under one name."""
 
-    name: str  # `position_error`, an error motion, a squareness, a figure of ISO 230-2 with its axis, an unknown
+    name: str  # `position_error`, an error motion, a squareness, a figure of a standard with its axis, an unknown
     unit: str  # m, rad or another one of SI
     first: int  # place of its first number in the vector
     count: int  # of its numbers
     where: Callable[[int], str]  # of the k-th number, in words; empty where there is only one
     at: Array | None = None  # (count,) position of each on its axis, m or rad, of an error motion; None of others
+    figure: str | None = None  # which figure of a standard it is, of the readings without a model; None of others
 
     @property
     def members(self) -> slice:
@@ -80,11 +90,12 @@ class _Entry:
     u: Array
     where: Callable[[int], str]
     at: Array | None = None
+    figure: str | None = None
 
 
 def everything(fitted: FittedSessions) -> Numbers:
-    """What is published of sessions: of the fit, then figures of ISO 230-2."""
-    return _listed([*_of_fit(fitted, fitted.joint), *_of_runs(fitted)])
+    """What is published of sessions: of the fit, then figures of the standards."""
+    return _listed([*_of_fit(fitted, fitted.joint), *_of_readings(fitted)])
 
 
 def check_names(fitted: FittedSessions, names: Sequence[str]) -> None:
@@ -101,8 +112,8 @@ def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:
 
 
 def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array]) -> Numbers:
-    """Figures of ISO 230-2 when (n,) shifts, m, are added to each session's readings, without uncertainty."""
-    return _listed(_of_runs(fitted, shifts))
+    """Figures of the standards when (n,) shifts, m, are added to each session's readings, without uncertainty."""
+    return _listed(_of_readings(fitted, shifts))
 
 
 def of_document(document: Mapping[str, Any]) -> Numbers:
@@ -138,7 +149,8 @@ def _listed(entries: Iterable[_Entry]) -> Numbers:
             kept.setdefault(entry.name, entry)
     first = np.cumsum([0, *(len(e.value) for e in kept.values())]).tolist()
     quantities = tuple(
-        Quantity(e.name, e.unit, at, len(e.value), e.where, e.at) for at, e in zip(first, kept.values(), strict=False)
+        Quantity(e.name, e.unit, at, len(e.value), e.where, e.at, e.figure)
+        for at, e in zip(first, kept.values(), strict=False)
     )
     value = np.concatenate([np.zeros(0), *(e.value for e in kept.values())])
     u = np.concatenate([np.zeros(0), *(e.u for e in kept.values())])
@@ -155,19 +167,28 @@ def _of_fit(fitted: FittedSessions, joint: JointFit) -> Iterator[_Entry]:
     yield from _unknowns(joint, error_map)
 
 
-def _of_runs(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> Iterator[_Entry]:
-    """Figures of ISO 230-2 and ISO 230-6 of a session, which its readings give without a model.
+def _of_readings(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> Iterator[_Entry]:
+    """Figures of ISO 230-2, ISO 230-4 and ISO 230-6 of a session, which its readings give without a model.
 
-    With the standard uncertainty that follows from the repeatability of the runs, unless the readings are shifted; none
-    for several sessions, which have no such figures.
+    With the standard uncertainty that follows from the repeatability of the runs, or the noise of the circles, unless
+    the readings are shifted; none for several sessions, which have no such figures.
     """
     content = fitted.error_map.content
-    if fitted.common is not None or not ("iso230_2" in content or "iso230_6" in content):
+    if fitted.common is not None or not content.keys() & {"iso230_2", "iso230_6", "figures"}:
         return
-    observed = fitted.joint.assembly.models[0].observations
+    model = fitted.joint.assembly.models[0]
+    observed = model.observations
     if shifts is not None:
         moved = replace(observed.readings, displacement=observed.readings.displacement + shifts[0])
         observed = replace(observed, readings=moved)
+    if isinstance(model, CircleModel):
+        exact = np.zeros(len(observed))
+        tests = content["figures"] if shifts is None else circular_tests(observed, model.second_order, exact)[0]
+        known = [one for one in tests if one["name"] in CIRCULAR_FIGURES]
+        several = len({one["setup"] for one in known}) > 1
+        for one in known:
+            name = f"{one['name']}.{one['setup']}" if several else one["name"]
+            yield _figure(name, one["name"], one["value"], one["U"] / K)
     for diagonals, figures in ((False, dict(zip(FIGURES, FIGURES, strict=True))), (True, DIAGONAL_FIGURES)):
         if ("iso230_6" if diagonals else "iso230_2") not in content:
             continue
@@ -176,8 +197,11 @@ def _of_runs(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> I
         for run in runs:
             suffix = run["axis"] if axes.count(run["axis"]) == 1 else f"{run['axis']}.{run['setup']}"
             for name, figure in figures.items():
-                value, u = np.array([run[figure]]), np.array([run.get(f"{figure}_U", np.nan) / K])
-                yield _Entry(f"{name}_{suffix}", "m", value, u, _nowhere)
+                yield _figure(f"{name}_{suffix}", name, run[figure], run.get(f"{figure}_U", np.nan) / K)
+
+
+def _figure(name: str, figure: str, value: float, u: float) -> _Entry:
+    return _Entry(name, "m", np.array([value]), np.array([u]), _nowhere, figure=figure)
 
 
 def unit_of(name: str) -> str:
@@ -186,9 +210,9 @@ def unit_of(name: str) -> str:
 
 
 def figure_of(name: str) -> str | None:
-    """Figure of ISO 230-2 or ISO 230-6 that a quantity such as `A_X`, `B_mean_X.second` or `E_D_PPP` is; or None."""
+    """Figure of a standard that a name such as `A_X`, `B_mean_X.second`, `E_D_PPP` or `G_b.XY` asks for; or None."""
     match = _FIGURE.fullmatch(name)
-    return (match[1] or match[2]) if match else None
+    return (match[1] or match[2] or match[3]) if match else None
 
 
 def _nowhere(k: int) -> str:

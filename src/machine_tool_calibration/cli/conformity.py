@@ -55,8 +55,9 @@ def command(
 
     SESSION is a session folder or a recording. A tolerance is that of an error motion (its range over the axis), of a
     squareness (its absolute value), of a figure of ISO 230-2 (A, R, E, M, B, B_mean; A_X of one axis; A_up, A_down of
-    one direction of approach, R and E alike) or of the volumetric error (volumetric: the largest position error of the
-    map). What the data does not determine never passes, and nothing is decided without a budget: what the readings
+    one direction of approach, R and E alike) or of ISO 230-4 (G_ccw, G_cw, G_b, H, F_max_ccw, F_min_ccw, D; G_b.XY of
+    one setup), or of the volumetric error (volumetric: the largest position error of the map). What the data does not
+    determine never passes, and nothing is decided without a budget: what the readings
     themselves show lacks instrument and temperature.
 
     \b

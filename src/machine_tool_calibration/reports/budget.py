@@ -7,7 +7,7 @@ from typing import Any
 
 from machine_tool_calibration.budget.conformity import VOLUMETRIC, Conformity
 from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Drawn, Line, Sum
-from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
+from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, in_digits_of, micrometres, quantity, rounded
@@ -15,8 +15,8 @@ from machine_tool_calibration.reports.tables import Part, TextTable, heads, susp
 from machine_tool_calibration.words import named, say, together
 
 _LEAST_NAMED = 1.0  # %
-# Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
-_USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")
+# Figures of ISO 230-2, ISO 230-6 and ISO 230-4 that are told unless others are asked for.
+_USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D", "G_ccw", "G_cw", "G_b", "H")
 # Degrees of freedom above which k is 2 to three figures.
 _MOST_DEGREES_OF_FREEDOM = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
@@ -26,10 +26,10 @@ _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
     """The largest uncertainty of each quantity, and the root mean square of the position error.
 
-    If none is asked for, those of position error, error motions, squareness and figures of ISO 230-2 and ISO 230-6.
+    If none is asked for, those of position error, error motions, squareness and the usual figures of the standards.
     """
     usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
-    every = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name) in _USUAL]
+    every = [q.name for q in budget.numbers.quantities if q.name in usual or q.figure in _USUAL]
     out = []
     for name in names or sorted(every, key=lambda name: name != POSITION_ERROR):
         out.append(budget.largest(name))

@@ -31,7 +31,7 @@ LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
 SCATTER = "scatter"
 """Name of the ratio by which the readings scatter about the model, over what was declared."""
-_FIGURES = (*ERROR_MOTIONS, *SQUARENESS, "B_mean", "R", VOLUMETRIC)
+_FIGURES = (*ERROR_MOTIONS, *SQUARENESS, "B_mean", "R", "G_ccw", "G_cw", "G_b", "H", VOLUMETRIC)
 _ANY = 1.0  # so large a tolerance that it decides nothing: the figures and their uncertainty are asked for
 
 
@@ -39,7 +39,7 @@ _ANY = 1.0  # so large a tolerance that it decides nothing: the figures and thei
 class Size:
     """The size of one error."""
 
-    name: str  # error motion, squareness, `B_mean_X`, `R_X`, `volumetric`, `SCATTER` or an effect's coefficient
+    name: str  # error motion, squareness, `B_mean_X`, `R_X`, `G_b`, `volumetric`, `SCATTER` or an effect's coefficient
     value: float  # in the unit
     # standard uncertainty as the readings show it. What the instrument adds in every session alike is no part of it,
     # since it is none of a change.

@@ -151,8 +151,10 @@ def _expanded(values: Array, u: Array, figure: Callable[[Array], float]) -> floa
     """U (k = 2) of a range or a largest value, which noise makes larger.
 
     Of values that are drawn about those found, with their standard uncertainties (k,), it is larger still: by what
-    noise that is larger by the root of two adds.
+    noise that is larger by the root of two adds. None of exact ones.
     """
+    if not u.any():
+        return 0.0
     rng = np.random.default_rng(1)
     drawn = np.array([figure(values + u * rng.standard_normal(len(u))) for _ in range(_DRAWS)])
     too_large = (drawn.mean() - figure(values)) / (np.sqrt(2.0) - 1.0)
