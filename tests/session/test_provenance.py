@@ -235,3 +235,19 @@ def test_a_message_that_can_be_no_reading_of_the_session_changes_nothing(columns
     with pytest.raises(SessionError, match=f"^{re.escape(why)}$"):
         received.add(2, Reading(tuple(columns), tuple(columns.values())), description)
     assert len(received) == 1 and received.missing == 0
+
+
+@pytest.mark.parametrize(("preset", "names", "values", "why"), [
+    ("tracking_2d", ("setup_index", "displacement"), (math.nan, 1e-6), "setup_index is nan"),
+    ("rotary_axis", ("setup_index", "target_index", "displacement"), (0.0, math.nan, 1e-6), "target_index is nan"),
+    ("tracking_2d", ("setup_index", "displacement", "x", "x"), (0.0, 1e-6, 0.1, 0.2), "a name stands twice"),
+])  # fmt: skip
+def test_a_message_without_its_place_or_with_a_name_twice_spoils_no_readings(
+    preset: str, names: tuple[str, ...], values: tuple[float, ...], why: str
+) -> None:
+    description = simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session.description
+    received = Received()
+    received.add(1, Reading(("setup_index", "displacement"), (0.0, 1e-6)), description)
+    with pytest.raises(SessionError, match=f"^{why}$"):
+        received.add(2, Reading(names, values), description)
+    assert len(received) == 1

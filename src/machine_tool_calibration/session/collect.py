@@ -142,6 +142,8 @@ def _require_reading(columns: Mapping[str, float], description: Description | No
     for name, key in ((READING_INDEX, ""), *((name, key) for name, (_, key) in INDEX_COLUMNS.items())):
         index, entries = columns.get(name, math.nan), getattr(description, key, None)
         if math.isnan(index):
+            if name in columns and (name == "setup_index" or entries is not None):
+                raise SessionError(f"{name} is nan")
             continue
         if not (0 <= index < _MOST_READINGS and index == int(index)):
             raise SessionError(f"{name} is {index:g}")
@@ -172,6 +174,8 @@ class Received:
         says that it can be none of them, or is numbered or timed in a way that cannot be.
         """
         columns = dict(zip(reading.names, reading.values, strict=True))
+        if len(columns) < len(reading.names):
+            raise SessionError("a name stands twice")
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
         origin, forgotten = self._origin, 0
         if math.isfinite(time):
