@@ -340,6 +340,16 @@ def test_what_cannot_be_is_said_in_one_line(changes: dict[str, Any], why: str) -
         best_plan(_changed(**changes), "plane.yaml", Assumed())
 
 
+@pytest.mark.parametrize(("count", "why"), [
+    ("abc", "a whole number, not 'abc'"), ("-1", "at least 1, not -1"), ("0", "at least 1, not 0"),
+    ("2.5", "a whole number, not 2.5"), (".nan", "a finite number, not nan"), ("1e30", "a whole number, not 1e"),
+])  # fmt: skip
+def test_equally_spaced_candidates_without_a_number_are_refused_where_they_stand(count: str, why: str) -> None:
+    text = PLANE.replace("last: 0.6, count: 3", f"last: 0.6, count: {count}")
+    with pytest.raises(SessionError, match=rf"^plane.yaml line 22: count must be {why}"):
+        parse_procedure(text, "plane.yaml")
+
+
 @pytest.mark.long
 def test_the_bound_of_an_effect_is_that_of_plans_that_tell_it() -> None:
     # A single repeat goes one way and tells no backlash: that says nothing of plans with two.

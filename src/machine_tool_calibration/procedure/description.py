@@ -39,12 +39,15 @@ class Choices(Record):
     seconds: Positive | None = None  # time for everything; what the procedure takes as it stands if absent
 
 
+_SPREAD = {"first", "last", "count"}
+
+
 def expanded(template: Any) -> Iterator[Any]:
     """Every entry that a template stands for, in the order in which it names them."""
     if isinstance(template, Mapping):
         if set(template) == {"any"} and isinstance(template["any"], list):
             yield from template["any"]
-        elif set(template) == {"first", "last", "count"}:
+        elif set(template) == _SPREAD:
             # to the nanometre, so that files stay readable
             yield from np.round(np.linspace(template["first"], template["last"], int(template["count"])), 9).tolist()
         else:
@@ -149,6 +152,23 @@ class Procedure(Record):
     choices: Choices = Choices()  # what else could be measured, to choose the best of (`mtcal plan --optimise`)
 
 
+def _require_spreads(template: Any, place: tuple[Any, ...], source: str, document: Document) -> None:
+    """Refuse what stands for no equally spaced numbers in a template, by a SessionError with file, line and key."""
+    if isinstance(template, Mapping):
+        if set(template) == _SPREAD:
+            n = len(place)
+            lines = {path[n:]: line for path, line in document.lines.items() if path[:n] == place}
+            validated(Spread, template, source, Document(template, lines))
+            return
+        parts = [*template.items()]
+    elif isinstance(template, (list, tuple)):
+        parts = [*enumerate(template)]
+    else:
+        return
+    for key, part in parts:
+        _require_spreads(part, (*place, key), source, document)
+
+
 def read_procedure(file: FilePath) -> Procedure:
     """Read a procedure's file; a SessionError if it cannot be read, or as for `parse_procedure`."""
     return parse_procedure(read_text(file), str(file))
@@ -174,4 +194,5 @@ def parse_procedure(text: str, source: str) -> Procedure:
                 raise SessionError(f"{source}: path.{key} is for the method rotary_axis; this is {session.method}")
     path = content.path or _FROM_SESSION
     motion, choices = content.motion, content.choices
+    _require_spreads({"setups": choices.setups, "targets": choices.targets}, ("choices",), source, document)
     return Procedure(source=source, name=content.name, session=session, path=path, motion=motion, choices=choices)
