@@ -116,6 +116,13 @@ def test_an_uncertainty_that_is_none_is_refused_by_file_and_key(u: float) -> Non
         of_result(damaged, "result.json")
 
 
+def test_a_number_of_a_document_too_large_for_any_float_is_refused() -> None:
+    content = measured(11)[0].document()
+    damaged = content | {"parameters": [one | {"value": 10**400} for one in content["parameters"]]}
+    with pytest.raises(CalibrationError, match=r"^result\.json: is damaged, or no result document of mtcal \(Overflow"):
+        of_result(damaged, "result.json")
+
+
 @pytest.mark.long
 def test_a_reversal_that_the_model_lacks_hides_no_change_of_scale() -> None:
     """Both directions of both measurements are 4 um apart: their means tell a change of 4 um at the end."""

@@ -149,7 +149,7 @@ def of_result(document: Mapping[str, Any], label: str) -> Statement:
         return _read(document, label)
     except CalibrationError as error:
         raise CalibrationError(f"{label}: {error}") from None
-    except (AttributeError, LookupError, TypeError, ValueError) as error:
+    except (AttributeError, LookupError, OverflowError, TypeError, ValueError) as error:
         why = f"{type(error).__name__}: {error}"
         raise CalibrationError(f"{label}: is damaged, or no result document of mtcal ({why})") from None
 
