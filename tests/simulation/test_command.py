@@ -185,3 +185,18 @@ def test_unfit_machines_are_refused(text, said, tmp_path):
     file.write_text(text)
     with pytest.raises(CalibrationError, match=said):
         simulation.simulate(SimulationSpec(plan=TrackingPlan(), machine=read_machine(file)))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("squareness: {C0Q: 1e-5}", "'C0Q' is no squareness"),
+        ("motions: {EXA: {nodes: [0, 1], values: [1, 2]}}", "error motion 'EXA': the chain"),
+    ],
+)
+def test_what_is_unfit_in_a_machine_file_is_said_with_its_name(text, said, tmp_path, verb):
+    file = tmp_path / "machine.yaml"
+    file.write_text(text)
+    words = ("simulate", "--preset", "tracking_2d", "--machine", file, tmp_path / "s")
+    assert f"{file}: {said}" in verb.refused(*words)
+    assert not (tmp_path / "s").exists()

@@ -18,7 +18,7 @@ from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.flaws import find_flaw
-from machine_tool_calibration.simulation.machine_file import MachineSpec, read_machine, read_record
+from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_machine, read_record
 from machine_tool_calibration.simulation.probing_run import ProbingPlan
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
@@ -159,6 +159,11 @@ def spec_from(
     if effects:
         content["effects"] = [*content.get("effects", ()), *effects]
     spec = validated(SimulationSpec, content, "", unnamed=ALL_METHODS, refusal=CalibrationError)
+    if machine is not None:
+        try:  # what the file says may be unfit only for the plan's chain
+            build_machine(spec.machine, chain=spec.plan.chain, travel=spec.plan.travel(), random=spec.plan.errors())
+        except CalibrationError as error:
+            raise CalibrationError(f"{machine}: {error}") from None
     refuse_implausible(spec)
     return spec
 
