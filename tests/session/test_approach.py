@@ -11,7 +11,7 @@ from tests import plates
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
-from machine_tool_calibration.session.approach import approaches
+from machine_tool_calibration.session.approach import approaches, begins_run, senses
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
@@ -52,6 +52,16 @@ def test_nothing_moves_between_readings_of_one_place() -> None:
     sense = approaches(session)["dir_x"]
     np.testing.assert_array_equal(sense[:27], 1.0)
     np.testing.assert_array_equal(sense[27:], -1.0)
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_repeats_of_a_place_are_no_runs(times: int) -> None:
+    """Numbered 0, 1, … at each place: read upwards only, no place is approached from above."""
+    along, repeat = np.repeat(np.arange(6), times), np.tile(np.arange(times), 6)
+    elsewhere = np.diff(along, prepend=-1) != 0
+    begins = begins_run(along, repeat, elsewhere)
+    assert np.flatnonzero(begins).tolist() == [0]
+    np.testing.assert_array_equal(senses(along, elsewhere, begins), 1.0)
 
 
 def test_what_was_set_aside_was_on_the_way() -> None:

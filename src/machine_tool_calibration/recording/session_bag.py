@@ -15,7 +15,7 @@ from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, S
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.collect import INDEX_COLUMNS, READING_INDEX, Collector, lacking_of
+from machine_tool_calibration.session.collect import INDEX_COLUMNS, READING_INDEX, Collector, fault_of
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, places_among
@@ -35,12 +35,12 @@ def session_from_bag(path: Path, topics: Mapping[str, str] | None = None, *, che
         wanted.add(labels)
     run: Collector | None = None
     kept: Mapping[str, np.ndarray] = {}
-    counts: list[int] = []
-    for run, kept in _runs(bag, names, wanted, labels):  # noqa: B007 (the last one counts)
+    counts, faults = list[int](), list[str]()
+    for run, kept in _runs(bag, names, wanted, labels, faults):  # noqa: B007 (the last one counts)
         counts.append(len(run))
     if run is None:
-        raise RecordingError(f"{bag.path}: no readings with a session's description")
-    session = replace(run.session(str(bag.path), check=check), earlier=tuple(counts[:-1]))
+        raise SessionError(faults[0]) if faults else RecordingError(f"{bag.path}: no readings with a description")
+    session = replace(run.session(str(bag.path), check=check), earlier=tuple(counts[:-1]), no_readings=tuple(faults))
     if any(len(values) != len(session.readings) for values in kept.values()):
         raise RecordingError(f"{bag.path}: {labels} does not have a text for each reading")
     if kept:
@@ -49,15 +49,15 @@ def session_from_bag(path: Path, topics: Mapping[str, str] | None = None, *, che
 
 
 def _runs(
-    bag: BagReader, names: Mapping[str, str], wanted: set[str], labels: str
+    bag: BagReader, names: Mapping[str, str], wanted: set[str], labels: str, faults: list[str]
 ) -> Iterator[tuple[Collector, dict[str, np.ndarray]]]:
-    """The runs that have readings, with text columns of the user's own."""
+    """The runs that have readings, with text columns of the user's own; why messages are no readings in `faults`."""
     place = Place(f"{bag.path} {names[SESSION]}", f"{bag.path} {names[READING]}")
     # The first description may stand behind the first readings, where the recorder met it late.
     described, description = _first_description(bag, names[SESSION], place)
     collector = Collector(description, place)
     kept: dict[str, np.ndarray] = {}
-    again, fault = False, ""
+    again = False
     for message in bag.messages(wanted):
         if message.topic == names[SESSION]:
             latest = bag.read(message, text)
@@ -75,8 +75,8 @@ def _runs(
             kept = _labels(bag, message)
         else:
             reading = bag.read(message, partial(decode, JOINT_STATE))
-            if lacking := lacking_of(reading.name):  # ignored, as by every node of the graph
-                fault = fault or f"{place.row(len(collector))}: {lacking}"
+            if fault := fault_of(reading.name, reading.position):  # ignored, as by every node of the graph
+                faults.append(f"{place.row(len(collector))}: {fault}")
                 continue
             # the same description again, and its clock starts anew: the procedure was started again
             time = dict(zip(reading.name, reading.position, strict=False)).get("time", np.nan) if again else np.nan
@@ -87,8 +87,6 @@ def _runs(
             again = False
     if len(collector):
         yield collector, kept
-    elif fault:
-        raise SessionError(fault)
 
 
 def _first_description(bag: BagReader, topic: str, place: Place) -> tuple[str, Description]:

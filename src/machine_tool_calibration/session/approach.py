@@ -35,7 +35,7 @@ def begins_run(along: IntArray, repeat: IntArray, elsewhere: BoolArray) -> BoolA
         elsewhere: (n,) whether its place is another than that before.
     """
     counted = np.diff(repeat, prepend=-1) != 0
-    if 2 * np.count_nonzero(counted & ~elsewhere) > len(repeat):
+    if 2 * np.count_nonzero(counted & ~elsewhere) >= len(repeat):
         counted[1:] = False  # repeats of readings where the axis stands, and not of runs
     step = np.abs(np.diff(along, prepend=along[:1]))
     return np.asarray(counted | (step > max(_ALL_THE_WAY * along.max(initial=0), 1)))

@@ -2,7 +2,7 @@
 """Readings that come one by one (live, or from a recording) to a session."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,13 +56,10 @@ class Collector:
         return float(last[self._names.index("time")])
 
     def add(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
-        """One more reading, as a JointState carries it; a SessionError if names and values do not match."""
-        where = self._place.row(len(self))
-        if len(names) != len(values):
-            raise SessionError(f"{where}: {len(names)} names and {len(values)} values")
-        if tuple(names) != self._names or len(self._values) >= _BLOCK:
-            if len(set(names)) < len(names):
-                raise SessionError(f"{where}: a name stands twice in {', '.join(names[:40])}")
+        """One more reading, as a JointState carries it; a SessionError if it can be none."""
+        if len(names) != len(values) or tuple(names) != self._names or len(self._values) >= _BLOCK:
+            if fault := fault_of(names, values):
+                raise SessionError(f"{self._place.row(len(self))}: {fault}")
             self._end_block()
             self._names = tuple(names)
         self._count += 1
@@ -78,8 +75,6 @@ class Collector:
             entries = getattr(self.description, key, None)
             if column in numbers and entries is not None:
                 labels[label] = self._labels(column, numbers.pop(column), [entry.id for entry in entries])
-        if "setup" not in labels:
-            raise SessionError(f"{self._place.readings}: the column 'setup_index' is missing")
         require_columns(self.description, [*numbers, *labels], self._place.readings)
         readings = assemble(self.description, numbers, labels, self._place)
         session = Session(self.description, readings, source, lost=max(lost, 0))
@@ -124,18 +119,17 @@ class Reading:
     values: Sequence[float]  # `position`
 
 
-def lacking_of(names: Collection[str]) -> str:
-    """In words, what every `reading` message has and one of these names has not; empty if it has all."""
+def fault_of(names: Sequence[str], values: Sequence[float] | Array) -> str:
+    """In words, why a message of such names and values is no reading, whatever they are; empty if it may be one."""
+    if len(names) != len(values):
+        return f"{len(names)} names and {len(values)} values"
+    if len(set(names)) < len(names):
+        return f"a name stands twice in {', '.join(names[:40])}"
     return next((f"it has no {name}" for name in ("displacement", "setup_index") if name not in names), "")
 
 
 def _require_reading(columns: Mapping[str, float], description: Description | None) -> None:
-    """Refuse a message that can be no reading: one of which no session could be made would spoil all others.
-
-    A SessionError: it has no displacement or no setup, or is of a place that the description, if it is known, has not.
-    """
-    if lacking := lacking_of(columns):
-        raise SessionError(lacking)
+    """Refuse (SessionError) a reading of a place that the description, if it is known, has not: it would spoil all."""
     repeat = columns.get("repeat", 0.0)
     if not (0 <= repeat < _MOST_READINGS and repeat == int(repeat)):
         raise SessionError(f"repeat is {repeat:g}")
@@ -173,9 +167,9 @@ class Received:
         `stamp` is the message's, ns; the description, if there is one, is that of the readings so far. A SessionError
         says that it can be none of them, or is numbered or timed in a way that cannot be.
         """
+        if fault := fault_of(reading.names, reading.values):
+            raise SessionError(fault)
         columns = dict(zip(reading.names, reading.values, strict=True))
-        if len(columns) < len(reading.names):
-            raise SessionError("a name stands twice")
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
         origin, forgotten = self._origin, 0
         if math.isfinite(time):

@@ -129,6 +129,7 @@ class Session:
     # rows of readings that are known to be sound: none of them is set aside, however far it stands out
     sound: frozenset[int] = frozenset()
     earlier: tuple[int, ...] = ()  # readings of each run that a recording holds before it
+    no_readings: tuple[str, ...] = ()  # where messages among them stand that are none, and why
     lost: int = 0  # readings that a recording lacks, by the numbers of those before its last one
     # the measurement before any reading was left out; None where none was
     recorded: Session | None = field(default=None, repr=False, compare=False)

@@ -111,11 +111,13 @@ def _beside(session: Session) -> Iterator[str]:
 
 
 def _recorded(session: Session) -> Iterator[str]:
-    """Readings that a recording lacks, and its runs that are not looked at."""
+    """Readings that a recording lacks, and its runs and messages that are not looked at."""
     if lost := session.as_recorded.lost:
         yield say("suspicion.lost", n=lost)
     if earlier := session.as_recorded.earlier:
         yield say("suspicion.earlier", n=len(earlier), readings=", ".join(map(str, earlier)))
+    if none := session.as_recorded.no_readings:
+        yield say("suspicion.no_readings", n=len(none), first=none[0])
 
 
 def _repeated(session: Session) -> Iterator[str]:
