@@ -2,6 +2,7 @@
 """Two maps in a common datum, and their differences over the expanded uncertainty of these."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.methods import map_comparison
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
-from machine_tool_calibration.methods.map_comparison import compare_fits, compare_maps
+from machine_tool_calibration.methods.map_comparison import compare_fits, compare_maps, joint_p_value
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
@@ -83,6 +84,42 @@ def test_what_differs_in_shape_is_found_and_named() -> None:
     found = compare_maps(SQUARE, first, np.zeros((4, 3)), (alone(1e-6, (4, 3), False), alone(1e-6, (4, 3), True)))
     assert not found.agree
     assert int(np.nanargmax(np.abs(found.normalised[:, 0]))) == 2
+
+
+def common(count: int, shared: float, own: float) -> np.ndarray:
+    """Rows of a root of the covariance of values with an error that all share, and one each has alone."""
+    return np.concatenate([np.full((1, count), shared), own * np.eye(count)])
+
+
+def test_a_difference_of_what_all_have_in_common_is_not_lost_among_them() -> None:
+    """Where U is mostly an offset, one that is three times as large is in one of 40 squares and in every difference."""
+    rows = common(40, 1e-6, 1e-7)
+    assert joint_p_value(np.full(40, 0.5e-6), rows, None) == 1.0
+    assert joint_p_value(np.full(40, 4e-6), rows, None) < 1e-3 < special.chdtrc(40, 16.0)
+    # In the shape it is found by the squares, which no single difference shows.
+    shape = 2e-7 * (-1.0) ** np.arange(40)
+    assert joint_p_value(shape, rows, None) == pytest.approx(2.0 * special.chdtrc(40, 160.0), rel=0.01)
+    # With fewer draws than the squares need, the largest one tells.
+    assert joint_p_value(np.full(40, 4e-6), rows, 60) < 1e-3
+
+
+@pytest.mark.parametrize(("shared", "own"), [(1e-6, 1e-7), (0.0, 1e-6), (1e-6, 1e-6)])
+def test_maps_that_differ_by_their_uncertainty_are_said_to_as_rarely_as_the_level(shared: float, own: float) -> None:
+    rows, rng = common(12, shared, own), np.random.default_rng(3)
+    p = np.array([joint_p_value(rng.standard_normal(len(rows)) @ rows, rows, None) for _ in range(400)])
+    assert np.mean(p < 0.05) < 0.05 + 2.0 * np.sqrt(0.05 / 400)
+    assert np.mean(p < 0.2) > 0.05, "nor is it a test that never speaks"
+
+
+def test_what_u_holds_of_a_misfit_and_in_common_is_said() -> None:
+    first, root = np.full((4, 3), 2.5e-6), np.zeros((2, 4, 3))
+    root[0] = 1e-6
+    found = compare_maps(SQUARE, first, np.zeros((4, 3)), (root, 0.0 * root), labels=("new", "old"), absolute=True)
+    told = MapComparison.of(replace(found, scatter=(1.0, 4.66))).report()
+    words = " ".join(told.split())
+    assert "Whether the maps agree is open" in words and found.agree
+    assert "12 of 12 exceed 1, of which chance makes 0.5, in the mean" in words
+    assert "The readings of old scatter 4.66 times as much as declared" in words and "of new scatter" not in words
 
 
 def test_maps_of_a_plane_are_drawn_where_they_were_found_and_listed() -> None:

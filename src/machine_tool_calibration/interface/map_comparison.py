@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.interface.show import Answer, notebook
-from machine_tool_calibration.methods.map_comparison import BY_CHANCE
+from machine_tool_calibration.methods.map_comparison import BY_CHANCE, OPEN_LEVEL
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.maps import draw_map_comparison
 from machine_tool_calibration.plots.style import Figure
 from machine_tool_calibration.reports.documents import picked
-from machine_tool_calibration.reports.quantities import ROUNDING, p_value, plus_minus, quantity
+from machine_tool_calibration.reports.quantities import ROUNDING, p_value, plus_minus, quantity, rounded
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
@@ -96,15 +96,25 @@ def _verdict(comparison: Compared) -> str:
     size = np.abs(comparison.normalised)
     k, j = np.unravel_index(int(np.nanargmax(size)), size.shape)
     place = ", ".join(f"{1e3 * v:.6g}" for v in comparison.points[k])
-    verdict = "The maps agree within their joint uncertainty"
+    verdict, chance = "The maps agree within their joint uncertainty", BY_CHANCE * comparison.count
     if not comparison.agree:
         verdict = "The maps contradict each other: they differ by more than their joint uncertainty"
+    elif comparison.p_value is not None and comparison.p_value < OPEN_LEVEL:
+        verdict = "Whether the maps agree is open: they differ by more than their joint uncertainty mostly explains"
     together = "" if comparison.p_value is None else f"; all differences together have {p_value(comparison.p_value)}"
-    return (
+    more = ", in the mean: what they have in common moves many at once" if comparison.beyond > chance else ""
+    told = [
         f"{verdict}. The largest normalised difference is E_n = {comparison.normalised[k, j]:+.2f}, "
         f"along {'xyz'[j]} at ({place}) mm; {comparison.beyond} of {comparison.count} exceed 1, of which chance makes "
-        f"{BY_CHANCE * comparison.count:.1f}{together}."
-    )
+        f"{chance:.1f}{more}{together}."
+    ]
+    told += [
+        f"The readings of {label} scatter {rounded(ratio)} times as much as declared about its model, and U contains "
+        "that: what the model may lack (`mtcal diagnose`) hides in it."
+        for label, ratio in zip(comparison.labels, comparison.scatter, strict=True)
+        if ratio > 1.0
+    ]
+    return " ".join(told)
 
 
 def _differences(comparison: Compared) -> TextTable:

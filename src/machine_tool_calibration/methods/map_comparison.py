@@ -17,14 +17,15 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.coverage import K
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import beside_reversal
 from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.session.session import refuse_repeated
 
-LEVEL = 0.01
-"""p-value below which maps contradict each other."""
+LEVEL, OPEN_LEVEL = 0.01, 0.05
+"""p-values below which maps contradict each other, and below which whether they do is open."""
 BY_CHANCE = 0.0455
 """Share of normalised differences beyond 1 that chance makes: of what is normal beyond two standard deviations."""
 DRAWS = 400
@@ -32,6 +33,8 @@ DRAWS = 400
 _SAME_POINT = 1e-6
 _LEAST_SINGULAR_VALUE = 1e-9
 _ROUNDING_SHARE = 1e-6
+# Draws of the largest of many differences: numbers in all of them together, fewest and most.
+_NUMBERS, _FEWEST, _MOST = 2e7, 500, 4000
 _MOTIONS = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "turn about z")
 
 
@@ -57,10 +60,12 @@ class MapComparison:
     u_second: Array
     u: Array  # (n, 3) standard uncertainty of the difference
     motion: tuple[Motion, ...]  # what was taken out
-    # of all differences together, with their correlations; None where there are too few draws to tell
+    # of all differences together, with their correlations; None where no map has an uncertainty
     p_value: float | None
     labels: tuple[str, str]  # names of the maps
     alone: tuple[int, ...] = (0, 0)  # points of each map that the other has not
+    # of each, by how much its readings scatter more about its model than declared; 1 where they do not contradict it
+    scatter: tuple[float, ...] = (1.0, 1.0)
 
     @property
     def difference(self) -> Array:
@@ -88,10 +93,8 @@ class MapComparison:
 
     @property
     def agree(self) -> bool:
-        """By the p-value of all differences; where there is none, whether no more exceed 1 than twice as by chance."""
-        if self.p_value is not None:
-            return self.p_value >= LEVEL
-        return self.beyond <= 2.0 * BY_CHANCE * self.count
+        """By the p-value of all differences; where nothing is uncertain there is nothing to tell."""
+        return self.p_value is None or self.p_value >= LEVEL
 
 
 def compare_maps(
@@ -167,10 +170,11 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
 
 
 def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
-    """p-value of (q,) differences by the sum of squares that are made independent; None where nothing tells.
+    """p-value of (q,) differences, from (k, q) rows of a root of their covariance; None where nothing tells.
 
-    From (k, q) rows of a root of their covariance; by Hotelling's distribution where it was made of so many
-    `draws`.
+    By the sum of squares that are made independent, Hotelling's where the root was made of so many `draws`, and by the
+    largest of them over its own uncertainty: where U is mostly of what all have in common, a difference of it is one of
+    q in the sum. The smaller one counts, twice (Bonferroni).
     """
     _, sizes, right = np.linalg.svd(rows, full_matrices=False)
     good = sizes > _ROUNDING_SHARE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
@@ -178,11 +182,25 @@ def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | 
     if rank == 0:
         return None
     total = float(np.sum((right[good] @ difference / sizes[good]) ** 2))
-    if draws is None:
-        return float(special.chdtrc(rank, total))
-    if draws < 2 * rank:
-        return None
-    return float(special.fdtrc(rank, draws - rank + 1, total * (draws - rank + 1) / (draws * rank)))
+    if rank > 1 and draws is not None and draws < 2 * rank:
+        return _of_the_largest(difference, rows)
+    whole = special.chdtrc(rank, total)
+    if draws is not None:
+        whole = special.fdtrc(rank, draws - rank + 1, total * (draws - rank + 1) / (draws * rank))
+    return float(whole) if rank == 1 else min(1.0, 2.0 * min(float(whole), _of_the_largest(difference, rows)))
+
+
+def _of_the_largest(difference: Array, rows: Array) -> float:
+    """Probability of so large a normalised difference, of the largest, by draws; far out at most (Bonferroni)."""
+    u = np.sqrt(np.einsum("kq,kq->q", rows, rows))
+    seen = u > _ROUNDING_SHARE * u.max()
+    z, unit = float(np.max(np.abs(difference[seen]) / u[seen])), rows[:, seen] / u[seen]
+    count = int(np.clip(_NUMBERS / len(unit.T), _FEWEST, _MOST))
+    rng, beyond = np.random.default_rng(1), 0
+    for begin in range(0, count, _FEWEST):
+        drawn = rng.standard_normal((min(_FEWEST, count - begin), len(unit))) @ unit
+        beyond += int((np.abs(drawn).max(axis=1) >= z).sum())
+    return min((beyond + 1) / (count + 1), len(unit.T) * float(special.erfc(z / np.sqrt(2.0))))
 
 
 def map_draws(fitted: FittedSessions, draws: int, seed: int, progress: Callable[[float], None]) -> Array:
@@ -232,7 +250,9 @@ def compare_fits(
     one, two = (found.error_map.error[pair] for found, pair in zip((first, second), pairs, strict=True))
     absolute = all(own.content.get("absolute", False) for own in maps)
     found = compare_maps(points, one, two, (own[0], own[1]), draws, labels, absolute=absolute)
-    return replace(found, alone=tuple(len(own.points) - len(points) for own in maps))
+    fits = first.joint, second.joint
+    scatter = tuple(fit.birge_ratio if fit.p_value < priors.CONTRADICTED_P else 1.0 for fit in fits)
+    return replace(found, alone=tuple(len(own.points) - len(points) for own in maps), scatter=scatter)
 
 
 def states(points: Array, content: Mapping[str, Any]) -> Array:
