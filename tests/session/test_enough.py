@@ -70,10 +70,20 @@ def test_three_stations_are_enough_in_the_plane_and_a_station_may_have_lost_all(
     assert np.isnan(session.readings.displacement[session.readings.setup == 2]).all()
 
 
-def test_three_stations_of_a_rotary_axis_are_enough(session_folder) -> None:
+@pytest.mark.parametrize(
+    ("keep", "readings"),
+    [
+        (lambda row: row["setup"] != "B", 162),
+        (lambda row: row["target"] == "P", 72),
+        (lambda row: row["target"] in "PQ", 144),
+        # one angle more than is refused: for 3 * 10 + 10 unknowns of four stations
+        (lambda row: row["target"] == "P" and float(row["c"]) < 3.3, 40),
+    ],
+)
+def test_what_of_a_rotary_axis_is_enough(session_folder, keep: Callable[[dict[str, str]], bool], readings: int) -> None:
     folder = session_folder("rotary_axis")
-    folder.edit_rows(lambda fields, _: fields if fields["setup"] != "B" else None)
-    assert len(read_session(folder.path).readings) == 162
+    folder.edit_rows(lambda row, _: row if keep(row) else None)
+    assert len(read_session(folder.path).readings) == readings
 
 
 def test_all_targets_on_a_line_in_the_plane_are_found_less_well(session_folder) -> None:
@@ -88,19 +98,6 @@ def test_two_targets(session_folder) -> None:
     folder = session_folder("tracking_2d")
     folder.edit_rows(lambda fields, _: fields if fields["y"] == "0.08" and fields["x"] in ("0.0", "0.4") else None)
     assert folder.refusal().startswith("observations.csv: there are fewer than three targets; ")
-
-
-def test_one_rotary_target_is_enough_with_one_angle_more_than_is_refused(session_folder) -> None:
-    folder = session_folder("rotary_axis")
-    folder.edit_rows(lambda fields, _: fields if fields["target"] == "P" and float(fields["c"]) < 3.3 else None)
-    assert len(read_session(folder.path).readings) == 40  # for 3 * 10 + 10 unknowns of four stations
-
-
-@pytest.mark.parametrize("targets", ["P", "PQ"])
-def test_one_and_two_rotary_targets_are_enough_for_what_they_show(session_folder, targets: str) -> None:
-    folder = session_folder("rotary_axis")
-    folder.edit_rows(lambda fields, _: fields if fields["target"] in targets else None)
-    assert len(read_session(folder.path).readings) == 72 * len(targets)
 
 
 def test_no_reading_at_all(session_folder) -> None:
@@ -151,10 +148,13 @@ def test_on_a_line(dimension: int) -> None:
     assert not on_a_line(bent)
 
 
-def scale(folder, column: str, factor: float) -> None:
-    folder.edit_rows(
-        lambda fields, _: {**fields, column: repr(float(fields[column]) * factor) if fields[column] else ""}
-    )
+def test_positions_in_millimetres_without_a_travel(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    text = folder.described.read_text()
+    start, end = text.index("  travel:"), text.index("repeats:")
+    folder.described.write_text(text[:start] + text[end:])
+    folder.edit_rows(lambda row, _: row | {axis: repr(1e3 * float(row[axis])) for axis in "xyz" if row[axis]})
+    assert "look like millimetres" in folder.refusal()
 
 
 @pytest.mark.parametrize("name", ["rotary_axis", "probing_cross"])
@@ -178,16 +178,6 @@ def test_an_offset_and_a_survey_in_millimetres(session_folder, key: str, value: 
     lines.insert(at + 1, value)
     folder.described.write_text("\n".join(lines) + "\n")
     assert says in folder.refusal()
-
-
-def test_positions_in_millimetres_without_a_travel(session_folder) -> None:
-    folder = session_folder("tracking_2d")
-    text = folder.described.read_text()
-    start, end = text.index("  travel:"), text.index("repeats:")
-    folder.described.write_text(text[:start] + text[end:])
-    for axis in "xyz":
-        scale(folder, axis, 1e3)
-    assert "look like millimetres" in folder.refusal()
 
 
 def test_exchanged_index_angles(session_folder) -> None:
