@@ -23,14 +23,20 @@ def session(
     setup: Sequence[int] | None = None,
     **said: Any,
 ) -> Session:
-    """Direct deviations from their columns, `displacement` among them; keys of the description may be said."""
+    """Direct deviations from their columns, `displacement` among them; keys of the description may be said.
+
+    A number stands for a column of it. Where nothing says along what was read, it is along X.
+    """
     description = {
         "format": "mtcal-session/1", "method": "direct", "machine": {"chain": "w-Y-X-b-Z-t"}, "datum": datum,
         "standard_uncertainty": {"displacement": declared}, "terms": list(terms),
         "setups": [{"id": name} for name in names or ("A",)],
     }  # fmt: skip
-    values = {key: np.array(column, float) for key, column in columns.items()}
-    row = np.arange(len(values["displacement"]))
+    count = len(columns["displacement"])
+    along = {"gx": 0.0 if columns.keys() & {"gy", "gz"} else 1.0, "gy": 0.0, "gz": 0.0}
+    every = {**along, **columns}.items()
+    values = {key: np.array(np.broadcast_to(np.asarray(column, float), count)) for key, column in every}
+    row = np.arange(count)
     readings = Readings(
         setup=0 * row if setup is None else np.asarray(setup, np.int64),
         repeat=0 * row if repeat is None else repeat.astype(np.int64),

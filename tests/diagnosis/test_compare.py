@@ -248,8 +248,7 @@ def test_readings_that_scatter_less_than_declared_make_nothing_surer(reduced: fl
 def test_a_line_over_few_readings_is_judged_beside_itself() -> None:
     """The p-value of a line is that of a regression: the line is not in the scatter that it is held against."""
     read, side = np.array([88.0, 49.0, 101.7, 109.6, 56.5, 89.6]) * 1e-9, np.array([2.0, 1.0, 2.0, 2.0, 1.0, 2.0])
-    columns = {"x": np.full(6, 0.1), "gx": np.ones(6), "gy": np.zeros(6), "gz": np.zeros(6)}
-    found = compare(plates.session({**columns, "displacement": read, "side": side}, 1e-9))
+    found = compare(plates.session({"x": np.full(6, 0.1), "displacement": read, "side": side}, 1e-9))
     line, known = found.trends.set_index("covariate").loc["side"], stats.linregress(side, read)
     assert line.p_value == pytest.approx(known.pvalue, rel=1e-6)
     assert (line.added, line.added_u) == pytest.approx((known.slope, known.stderr), rel=1e-6)
@@ -259,8 +258,7 @@ def test_a_line_that_the_model_holds_has_no_size_in_it_where_setups_count_unequa
     """What setups of different scatter leave over the place is known; what the model's own table would need is not."""
     rng, x = np.random.default_rng(1), np.tile(0.001 * np.arange(9), 6)
     setup = np.repeat([0, 1], 27)
-    columns = {"x": x, "gx": np.ones(54), "gy": np.zeros(54), "gz": np.zeros(54)}
-    columns["displacement"] = np.array([7e-6, 1e-6])[setup] * rng.normal(size=54)
+    columns = {"x": x, "displacement": np.array([7e-6, 1e-6])[setup] * rng.normal(size=54)}
     repeat = np.tile(np.repeat(np.arange(3), 9), 2)
     found = compare(plates.session(columns, 1e-7, "offset", ["EXX"], repeat, "A", "B", setup=setup.tolist()))
     assert len(np.unique(found.fit.model.sigma)) == 2

@@ -188,21 +188,19 @@ def test_play_of_the_other_sign_is_named_with_its_sign() -> None:
 
 def test_a_frame_may_warm_up_by_tenths_of_a_millimetre() -> None:
     """Read by a switch at one place, as on printers and wood working machines."""
-    n = 300
-    time, one, none = 60.0 * np.arange(n), np.ones(n), np.zeros(n)
-    warm = 3e-4 * (1.0 - np.exp(-time / 4000.0)) + 5e-6 * np.random.default_rng(3).normal(size=n)
-    columns = {"time": time, "z": none, "gx": none, "gy": none, "gz": one, "displacement": warm}
-    found = diagnose(plates.session(columns, 5e-6, "offset", (), np.zeros(n, np.int64), "top"))
+    time = 60.0 * np.arange(300)
+    warm = 3e-4 * (1.0 - np.exp(-time / 4000.0)) + 5e-6 * np.random.default_rng(3).normal(size=300)
+    columns = {"time": time, "z": 0.0, "gz": 1.0, "displacement": warm}
+    found = diagnose(plates.session(columns, 5e-6, "offset", (), None, "top"))
     assert (found.verdict, found.accepted) == ("missing_effect", ("warmup_z",))
     assert {"dead_path", "refractive_index"} <= set(found.excluded)
 
 
 def frame_that_warms(time: Array, moved: Array, **temperatures: Array) -> Session:
     """A frame read by a switch at one place."""
-    n, rng = len(time), np.random.default_rng(1)
-    columns = {"time": time, "z": np.zeros(n), "gx": np.zeros(n), "gy": np.zeros(n), "gz": np.ones(n), **temperatures}
-    columns["displacement"] = moved + 2e-6 * rng.normal(size=n)
-    return plates.session(columns, 2e-6, "offset", (), np.zeros(n, np.int64), "top")
+    read = moved + 2e-6 * np.random.default_rng(1).normal(size=len(time))
+    columns = {"time": time, "z": 0.0, "gz": 1.0, **temperatures, "displacement": read}
+    return plates.session(columns, 2e-6, "offset", (), None, "top")
 
 
 @pytest.mark.long
@@ -267,9 +265,9 @@ def test_meshes_that_differ_by_tilts_are_said_to() -> None:
     """A bed that was probed five times in some weeks: each time it lay otherwise."""
     x, y = (part.reshape(-1) for part in np.meshgrid(np.linspace(0.0, 0.3, 6), np.linspace(0.0, 0.3, 6)))
     rng, n, meshes = np.random.default_rng(5), len(x), 5
-    one, none = np.ones(n * meshes), np.zeros(n * meshes)
+    _one, none = np.ones(n * meshes), np.zeros(n * meshes)
     setup = np.repeat(np.arange(meshes), n)
-    columns = {"x": np.tile(x, meshes), "y": np.tile(y, meshes), "z": none, "gx": none, "gy": none, "gz": one}
+    columns = {"x": np.tile(x, meshes), "y": np.tile(y, meshes), "z": none, "gz": 1.0}
     tilt = 2e-4 * rng.normal(size=(2, meshes))[:, setup]
     columns["displacement"] = tilt[0] * columns["x"] + tilt[1] * columns["y"] + 5e-6 * rng.normal(size=n * meshes)
     bed = plates.session(columns, 5e-6, "offset", ("EZX", "EZY"), none.astype(np.int64), "0")
@@ -289,8 +287,7 @@ def test_tilts_are_said_beside_a_form_that_all_meshes_have(declared: float, agai
     mesh = np.repeat([0, 1], 16)
     form = 27e-6 * np.tile(rng.normal(size=16), 2)
     tilt = np.where(mesh == 1, 1.0, -1.0) * 3e-4 * (x + y - 0.23)
-    columns = {"x": x, "y": y, "z": 0 * x, "gx": 0 * x, "gy": 0 * x, "gz": 1 + 0 * x}
-    columns["displacement"] = form + tilt + 1e-5 * rng.normal(size=32)
+    columns = {"x": x, "y": y, "z": 0.0, "gz": 1.0, "displacement": form + tilt + 1e-5 * rng.normal(size=32)}
     names, setup = (("A",), None) if again else (("A", "B"), mesh.tolist())
     bed = plates.session(columns, declared, "offset", ("EZX", "EZY"), mesh if again else None, *names, setup=setup)
     found = diagnose(bed)
@@ -308,7 +305,7 @@ def part_read_in_setups(seed: int, yaw: float) -> Session:
     tables = along_x * 3e-6 * np.sin(9 * x) + (1 - along_x) * (2e-6 * np.cos(8 * y) - 1e-5 * x)
     holes = np.tile(3e-6 * rng.normal(size=72), setups) + 3e-6 * rng.normal(size=setups)[setup]
     read = tables + holes + yaw * lever / np.sqrt(np.mean(lever**2)) + 1e-6 * rng.normal(size=len(x))
-    columns = {"x": x, "y": y, "z": 0 * x, "gx": along_x, "gy": 1 - along_x, "gz": 0 * x, "displacement": read}
+    columns = {"x": x, "y": y, "z": 0.0, "gx": along_x, "gy": 1 - along_x, "displacement": read}
     terms = ("EXX", "EYX", "EXY", "EYY")
     return plates.session(columns, 1e-6, "offset", terms, None, "A", "B", "C", setup=setup.tolist())
 
@@ -326,7 +323,7 @@ def test_series_that_differ_are_not_to_be_read_more_often() -> None:
     """A probe at one place, 99 and 53 times, 11 um apart: twice the readings leave U as it is."""
     setup, rng = np.repeat([0, 1], [99, 53]), np.random.default_rng(2)
     read = 1.1e-5 * setup + 1.8e-5 * rng.normal(size=152)
-    columns = {"x": 0.0 * setup, "gx": 0.0 * setup, "gy": 0.0 * setup, "gz": 1.0 + 0.0 * setup, "displacement": read}
+    columns = {"x": 0.0 * setup, "gz": 1.0, "displacement": read}
     again = np.r_[0:99, 0:53]
     found = diagnose(plates.session(columns, 1.8e-5, "none", ("EZZ",), again, "A", "B", setup=setup.tolist()))
     assert "next.setups" in keys(next_step(found, Advice()))
@@ -344,17 +341,12 @@ def test_scatter_of_places_is_said_where_their_repeats_agree_and_nothing_is_alik
         "runs": 6.0 * rng.normal(size=4)[readings.repeat] * (x - x.mean()) / x.std(),
         "zone": 12.0 * ((x > 0.5 * x.max()) & (y > 0.5 * y.max())),
     }[what]
-    columns = {name: values for name, values in readings.columns.items() if name in ("x", "y", "gx", "gy", "gz")}
+    columns = {name: readings.columns[name] for name in ("x", "y", "gx", "gy", "gz")}
     moved = replace(readings, columns=columns, displacement=readings.displacement + session.sigma * change)
-    told = told_of(session.with_readings(moved))
+    told = " ".join(verdict_words(diagnose(session.with_readings(moved)), {}, Advice()))
     assert ("without a pattern" in told) == (what == "places")
     if what == "zone":
         assert "beside each other alike" in told or "depend on" in told or "The model lacks" in told
-
-
-def told_of(session: Session) -> str:
-    found = diagnose(session)
-    return " ".join(verdict_words(found, {}, Advice()))
 
 
 @pytest.mark.long
@@ -429,8 +421,7 @@ def test_what_explains_a_small_part_of_a_pattern_is_not_what_is_missing() -> Non
 def test_one_place_that_was_read_without_times_gets_an_answer() -> None:
     """There is nothing that readings could depend on."""
     read = 1e-5 * np.random.default_rng(3).normal(size=10)
-    columns = {"x": 0 * read, "y": 0 * read, "z": 0 * read, "gx": 0 * read + 1.0, "gy": 0 * read, "gz": 0 * read}
-    found = diagnose(plates.session({**columns, "displacement": read}, 6e-6, "none", ["EXX"]))
+    found = diagnose(plates.session({"x": 0 * read, "y": 0.0, "z": 0.0, "displacement": read}, 6e-6, "none", ["EXX"]))
     assert found.verdict == "adequate"
 
 
@@ -439,8 +430,7 @@ def test_of_what_slips_nothing_is_named_whose_size_may_be_zero() -> None:
     rng, n = np.random.default_rng(113), 200
     voltage = 1.2 + np.arange(n) / n
     slips = np.cumsum(np.where((rng.random(n) < 0.1) & (voltage > 1.7), 25e-6 * rng.normal(size=n), 0.0))
-    columns = {key: np.zeros(n) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(n)}
-    columns |= {"time": 30.0 * np.arange(n), "voltage": voltage}
+    columns = {"x": 0.0, "y": 0.0, "z": 0.0, "time": 30.0 * np.arange(n), "voltage": voltage}
     columns["displacement"] = slips + 1e-6 * rng.normal(size=n)
     found = diagnose(plates.session(columns, 1e-6, "offset"))
     for name in found.accepted:
@@ -451,9 +441,8 @@ def test_of_what_slips_nothing_is_named_whose_size_may_be_zero() -> None:
 def test_what_one_place_is_off_by_is_no_warm_up() -> None:
     """Without a term or an offset there is nothing else that a constant could be, but an effect of the time."""
     for seed in range(4):
-        rng, zero = np.random.default_rng(seed), np.zeros(60)
-        columns = {"time": 60.0 * np.arange(60), "x": zero, "gx": zero + 1.0, "gy": zero, "gz": zero}
-        session = plates.session({**columns, "displacement": 1e-6 + 1e-6 * rng.normal(size=60)}, 1e-6)
+        read = 1e-6 + 1e-6 * np.random.default_rng(seed).normal(size=60)
+        session = plates.session({"time": 60.0 * np.arange(60), "x": 0.0, "displacement": read}, 1e-6)
         found = diagnose(session)
         assert not found.accepted and found.verdict == "adequate"
         assert found.fitted[0].error_map.error[0, 0] == pytest.approx(1e-6, abs=4e-7)
@@ -464,8 +453,7 @@ def test_a_place_that_is_off_each_time_is_said_to_be() -> None:
     x, y, run = (a.ravel() for a in np.meshgrid(np.arange(6), np.arange(6), np.arange(4), indexing="ij"))
     off = 317e-6 * ((x == 2) & (y == 3))
     zero = np.zeros(len(x))
-    columns = {"x": 0.05 * x, "y": 0.05 * y, "z": zero, "gx": zero, "gy": zero, "gz": zero + 1.0}
-    columns["displacement"] = off + 2e-6 * rng.normal(size=len(x))
+    columns = {"x": 0.05 * x, "y": 0.05 * y, "z": zero, "gz": 1.0, "displacement": off + 2e-6 * rng.normal(size=len(x))}
     found = diagnose(plates.session(columns, 2e-6, "none", ["EZX", "EZY"], run))
     assert len(found.gross_errors) == 4 and all(one.repeated for one in found.gross_errors)
     assert "diagnosis.outliers_repeat" in [k for words in verdict_words(found, {}, Advice()) for k in keys(words)]
@@ -478,7 +466,7 @@ def axis_both_ways(cycles: int, seed: int, drift: float = 0.0, half_width: float
     at = np.arange(len(x))
     sense = np.where((at % 62) < 31, 1.0, -1.0)
     read = 8e-6 * np.sin(3.0 * x) + drift * at / len(x) - half_width * sense + 5e-7 * rng.normal(size=len(x))
-    columns = {"x": x, "dir_x": sense, "gx": 0 * x + 1.0, "gy": 0 * x, "gz": 0 * x, "displacement": read}
+    columns = {"x": x, "dir_x": sense, "displacement": read}
     return plates.session(columns, 5e-7, "none", ["EXX"], at // 62, repeats=cycles)
 
 
@@ -522,11 +510,11 @@ def test_a_probable_effect_without_a_size_may_be_there_beside_those_found() -> N
 
 def after_strokes(seed: int, moved: float) -> Session:
     """One place, after strokes of which long ones are followed by larger deviations of either sign, um, and a shift."""
-    rng, zero = np.random.default_rng(seed), np.zeros(36)
+    rng = np.random.default_rng(seed)
     stroke = rng.permutation(np.repeat([1.0, 3.0, 10.0, 30.0, 100.0, 300.0], 6))
-    columns = {"time": 60.0 * np.arange(36), "x": zero, "gx": zero + 1.0, "gy": zero, "gz": zero, "stroke": stroke}
     read = 1e-6 * (rng.normal(size=36) * (1.0 + stroke / 20.0) + moved * stroke)
-    return plates.session({**columns, "displacement": read}, 1e-6, "offset")
+    columns = {"time": 60.0 * np.arange(36), "x": 0.0, "stroke": stroke, "displacement": read}
+    return plates.session(columns, 1e-6, "offset")
 
 
 @pytest.mark.long
@@ -542,7 +530,7 @@ def test_scatter_that_grows_with_a_column_is_no_movement_with_it() -> None:
 def test_an_effect_that_would_leave_no_reading_to_check_it_is_not_looked_for() -> None:
     """Ten places read once, of a curve: a polynomial through all of them proves nothing."""
     x = np.linspace(0.0, 0.9, 10)
-    columns = {"x": x, "gx": x**0, "gy": 0.0 * x, "gz": 0.0 * x, "displacement": 3e-6 * np.exp(3.0 * x)}
+    columns = {"x": x, "displacement": 3e-6 * np.exp(3.0 * x)}
     found = diagnose(plates.session(columns, 2e-7, "offset", ["EXX"]))
     assert not found.accepted and found.verdict != "missing_effect"
     spare = found.fits[0].solution.degrees_of_freedom
@@ -556,7 +544,6 @@ def test_ten_readings_that_scatter_far_more_than_declared_have_no_cause() -> Non
     table = [564.874, 564.220, 563.287, 562.509, 561.808, 561.068, 560.154, 559.319, 558.541, 557.713]
     at = np.array([49.42, 151.0, 251.64, 350.96, 451.82, 551.86, 650.85, 751.97, 855.49, 952.11])
     columns = {"time": 120.0 * np.arange(10.0), "x": 1e-3 * at, "displacement": -1e-6 * np.array(table)}
-    columns |= {"gx": np.ones(10), "gy": np.zeros(10), "gz": np.zeros(10)}
     found = diagnose(plates.session(columns, 2e-8, "offset", ("EXX",)))
     assert found.search.nothing > 0.5
     assert (found.verdict, found.accepted) == ("adequate", ())
@@ -579,7 +566,7 @@ def test_places_that_differ_from_setup_to_setup_are_no_matter_of_the_place() -> 
     at, setup = np.tile(np.repeat(np.linspace(0.0, 0.4, 5), 3), 9), np.repeat(np.arange(9), 15)
     bent = 3e-5 * rng.normal(size=(9, 5))
     read = bent[setup, np.tile(np.repeat(np.arange(5), 3), 9)] + 1e-6 * rng.normal(size=135)
-    columns = {"x": at, "gx": 0 * at, "gy": 0 * at, "gz": 1 + 0 * at, "displacement": read}
+    columns = {"x": at, "gz": 1.0, "displacement": read}
     names = [f"L{k}" for k in range(9)]
     found = diagnose(plates.session(columns, 1e-6, "none", ("EZX",), None, *names, setup=setup.tolist()))
     told = [key for words in verdict_words(found, {}, Advice()) for key in keys(words)]
@@ -591,7 +578,7 @@ def test_places_that_differ_from_setup_to_setup_are_no_matter_of_the_place() -> 
 def test_of_several_sessions_it_is_told_how_far_each_scatters() -> None:
     def level(scatter: float, seed: int) -> Session:
         at, rng = np.tile(np.linspace(0.0, 0.4, 9), 6), np.random.default_rng(seed)
-        columns = {"x": at, "gx": 1 + 0 * at, "gy": 0 * at, "gz": 0 * at, "displacement": scatter * rng.normal(size=54)}
+        columns = {"x": at, "displacement": scatter * rng.normal(size=54)}
         return plates.session(columns, 1e-6, "none", ("EXX",), np.repeat(np.arange(6), 9))
 
     found = diagnose(FitRequest((level(1e-6, 1), level(3e-6, 2)), labels=("one", "other")))
@@ -602,9 +589,9 @@ def test_of_several_sessions_it_is_told_how_far_each_scatters() -> None:
 
 
 def test_of_a_session_that_the_model_leaves_no_reading_no_scatter_is_told() -> None:
-    at, zero = np.tile(np.linspace(0.0, 0.4, 9), 6), np.zeros(54)
+    at, _zero = np.tile(np.linspace(0.0, 0.4, 9), 6), np.zeros(54)
     read = 5e-6 * np.random.default_rng(3).normal(size=54)
-    columns = {"x": at, "gx": 1 + zero, "gy": zero, "gz": zero, "displacement": read}
+    columns = {"x": at, "displacement": read}
     one = plates.session(columns, 1e-6, "none", ("EXX",), np.repeat(np.arange(6), 9))
     single = {name: values[:1] for name, values in columns.items()}
     alone = plates.session({**single, "x": np.array([9.0])}, 1e-6, "offset", ("EXX",))
@@ -646,7 +633,7 @@ def test_an_axis_that_the_model_has_as_a_rigid_body_is_none_that_yields(named: b
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 0.4, 9), np.linspace(0.0, 0.3, 7)))
     x, y, along_x = np.tile(x, 4), np.tile(y, 4), np.repeat([1.0, 1.0, 0.0, 0.0], x.size)
     noise = 0.3e-6 * np.random.default_rng(5).standard_normal(x.size)
-    columns = {"x": x, "y": y, "z": 0.0 * x, "gx": along_x, "gy": 1.0 - along_x, "gz": 0.0 * x}
+    columns = {"x": x, "y": y, "z": 0.0, "gx": along_x, "gy": 1.0 - along_x}
     columns["displacement"] = 8e-5 * x * y * along_x + noise
     terms = ("EXX", "EYX", "EXY", "EYY", "C0Y", *(["ECX"] if named else []))
     found = diagnose(plates.session(columns, 0.3e-6, "offset", terms))

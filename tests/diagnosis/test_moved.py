@@ -84,7 +84,7 @@ def test_a_reversal_is_none_of_an_angle_where_each_axis_moved_along_one_line() -
     places, rng = np.linspace(0.0, 0.4, 9), np.random.default_rng(1)
     x = np.tile(np.concatenate([places, places[::-1]]), 3)
     sense = np.tile(np.repeat([1.0, -1.0], len(places)), 3)
-    columns = {"x": x, "y": 0.2 + 0 * x, "z": 0 * x, "dir_x": sense, "gx": 1 + 0 * x, "gy": 0 * x, "gz": 0 * x}
+    columns = {"x": x, "y": 0.2 + 0 * x, "z": 0.0, "dir_x": sense}
     columns["displacement"] = 1e-6 * np.sin(9.0 * x) - 8e-7 * sense + 2e-7 * rng.normal(size=len(x))
     found = diagnose(
         plates.session(columns, 2e-7, "none", ("EXX",), np.repeat(np.arange(3), 2 * len(places)), repeats=3)

@@ -393,7 +393,7 @@ def test_a_memory_adds_no_more_than_it_does_to_a_constant_however_large_the_spre
     x, row = np.tile(at, rows), np.repeat(np.arange(rows), count)
     y = np.where(np.tile(np.arange(count) < 4, rows), 0.0, 0.05 + 0.45 * row / (rows - 1))
     drift, form = 4e-9, 4.8e-6 * (x - 0.5) * (y - 0.25)
-    columns = {"time": 1.0 * np.arange(len(x)), "x": x, "y": y, "gx": 0 * x, "gy": 0 * x, "gz": 1 + 0 * x}
+    columns = {"time": 1.0 * np.arange(len(x)), "x": x, "y": y, "gz": 1.0}
     noise = 2.5e-7 * rng.normal(size=len(x)) + 3.5e-7 * rng.normal(size=rows)[row]
     columns["displacement"] = form + drift * columns["time"] + noise
     session = plates.session(columns, 3e-7, "rigid", (), row, repeats=rows)

@@ -94,7 +94,6 @@ def test_of_very_many_passes_those_of_one_direction_are_held_together() -> None:
     x = np.tile(np.r_[places, places[::-1]], cycles)
     read = np.repeat(rng.normal(scale=1e-6, size=2 * cycles), 6) + 2e-7 * rng.normal(size=len(x))
     columns = {"time": 5.0 * np.arange(len(x)), "x": x, "dir_x": way, "displacement": read}
-    columns |= {"gx": np.ones(len(x)), "gy": 0 * x, "gz": 0 * x}
     measured = plates.session(columns, 2e-7, terms=["EXX"], repeat=np.repeat(np.arange(cycles), 12))
     fit = fit_sessions(FitRequest((measured,), effects=("backlash_x",))).joint.fits[0]
     families = {family.name: family for family in reproducibility(fit.model.observations)}
@@ -123,8 +122,7 @@ def test_setups_that_differ_are_no_better_known_by_repeats(between: float, withi
         rng = np.random.default_rng(seed)
         setup, repeat, place = (a.ravel() for a in np.meshgrid(range(6), range(10), range(5), indexing="ij"))
         read = between * rng.normal(size=6)[setup] + within * rng.normal(size=(6, 10))[setup, repeat]
-        columns = {"x": 0.05 * place, "gx": 0 * place, "gy": 0 * place, "gz": np.ones(300)}
-        columns["displacement"] = 1e-6 * (read + 2.0 * rng.normal(size=300))
+        columns = {"x": 0.05 * place, "gz": 1.0, "displacement": 1e-6 * (read + 2.0 * rng.normal(size=300))}
         names = [f"lot{k}" for k in range(6)]
         measured = plates.session(columns, 3e-6, "none", ["EZX"], repeat, *names, setup=setup.tolist())
         found.append(1e6 * identify(measured).error_map.uncertainty[:, 2].mean())
@@ -298,7 +296,7 @@ def test_runs_with_slopes_of_their_own_are_known_no_better_without_times() -> No
     for _ in range(6):
         slopes = 1e-5 * rng.normal(size=(10, 1))
         read = (slopes * (x - 0.2) + 1e-7 * rng.normal(size=(10, 9))).ravel()
-        columns = {"x": np.tile(x, 10), "gx": np.ones(90), "gy": np.zeros(90), "gz": np.zeros(90), "displacement": read}
+        columns = {"x": np.tile(x, 10), "displacement": read}
         measured = plates.session(columns, 1e-7, "offset", ["EXX"], np.repeat(np.arange(10), 9))
         found.append(identify(measured).error_map.uncertainty[-1, 0])
         true.append(0.2 * slopes.std(ddof=1) / np.sqrt(10))

@@ -26,8 +26,7 @@ def drifting(places: int = 11, there: int = 4) -> Session:
     time = np.arange(len(x), dtype=float)
     noise = 0.3e-6 * np.random.default_rng(3).standard_normal(len(x))
     warm = 5e-6 * (1.0 - np.exp(-time / 60.0))
-    columns = {"x": x, "time": time, "gx": np.ones_like(x), "gy": 0 * x, "gz": 0 * x}
-    return session({**columns, "displacement": warm + 8e-6 * x**2 + noise}, 0.3e-6, "none", ("EXX",))
+    return session({"x": x, "time": time, "displacement": warm + 8e-6 * x**2 + noise}, 0.3e-6, "none", ("EXX",))
 
 
 @pytest.mark.usefixtures("reproducible")

@@ -169,7 +169,7 @@ def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) 
 def test_a_drift_that_the_readings_exclude_is_not_assumed(hours: float, drift: float, told: bool) -> None:
     """One place read again and again for days; within half a minute the assumed rate is too small to show."""
     time = np.linspace(0.0, 3600.0 * hours, 9)
-    columns = {"time": time, "x": np.full(9, 0.1), "gx": np.ones(9), "gy": np.zeros(9), "gz": np.zeros(9)}
+    columns = {"time": time, "x": np.full(9, 0.1)}
     columns["displacement"] = 1e-7 + drift * time + 1e-8 * np.random.default_rng(4).normal(size=9)
     session = plates.session(columns, 1e-8)
     found = limits_of(session, build_model(session)[0])

@@ -179,7 +179,7 @@ def test_setups_of_which_nothing_was_read_are_not_counted() -> None:
 def test_sizes_that_are_drawn_to_usual_ones_are_said_beside_those_that_the_residual_belongs_to() -> None:
     """A drift of a third of a metre an hour, in readings that scatter by millimetres."""
     rng, time = np.random.default_rng(0), np.linspace(0.0, 90.0, 40)
-    columns = {key: np.zeros(40) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(40), "time": time}
+    columns = {"x": 0.0, "y": 0.0, "z": 0.0, "time": time}
     drifted = columns | {"displacement": -1e-4 * time + 4e-3 * rng.normal(size=40)}
     result = identify(plates.session(drifted, 1e-3, "offset"), effects=["linear_drift"])
     note = parameters_table(result.document(), result.joint).note

@@ -132,7 +132,7 @@ def test_no_exponents_no_minus_zero_and_no_rows_of_dashes(plan: str) -> None:
 def test_a_map_of_which_nothing_is_determined_is_no_table() -> None:
     """Deviations of an axis without terms: their scatter is all that is asked for."""
     where = np.linspace(0.0, 0.3, 5)
-    columns = {"x": where, "y": 0.0 * where, "z": 0.0 * where, "gx": 0.0 * where, "gy": 0.0 * where}
+    columns = {"x": where, "y": 0.0, "z": 0.0, "gx": 0.0 * where, "gy": 0.0 * where}
     columns |= {"gz": 0.0 * where + 1.0, "displacement": 1e-6 * np.array([1.0, -1.0, 0.0, 2.0, -2.0])}
     assert not list(value_tables(identify(plates.session(columns, 1e-6))))
 

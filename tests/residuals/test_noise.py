@@ -141,7 +141,7 @@ def test_what_another_session_misses_is_no_noise_of_this_one_and_their_order_tel
 def test_where_the_model_holds_every_place_repeats_say_no_more_than_it(unit: float) -> None:
     read = unit * 1e-5 * np.random.default_rng(8).normal(size=26)
     setup = np.repeat([0, 1, 2], [9, 9, 8])
-    columns = {"x": 0 * read, "gx": 1 + 0 * read, "gy": 0 * read, "gz": 0 * read, "displacement": read}
+    columns = {"x": 0 * read, "displacement": read}
     one = plates.session(columns, unit * 1e-5, "offset", ("EXX",), None, "A", "B", "C", setup=setup)
     assert noise_of(fit_models([build_model(one)[0]]).fits[0]).lack_of_fit_p is None
 

@@ -43,7 +43,7 @@ def test_what_does_not_reproduce_is_counted_in_standard_uncertainties_of_each_se
 def test_offsets_of_runs_have_a_size_of_their_own(timed: bool, setups: bool, apart: bool) -> None:
     """Not where the setup has them already, nor where nothing but offsets is known of the runs."""
     run, x = np.repeat([0, 1, 2], 6), np.tile(np.linspace(0.0, 0.5, 6), 3)
-    columns = {"x": x, "gx": np.ones(18), "gy": np.zeros(18), "gz": np.zeros(18)}
+    columns = {"x": x}
     columns |= {"time": 10.0 * np.arange(18)} if timed else {}
     columns["displacement"] = 1e-6 * np.random.default_rng(0).normal(size=18)
     names, each = ("ABC", {"setup": run.tolist()}) if setups else ("A", {})

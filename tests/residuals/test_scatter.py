@@ -18,7 +18,7 @@ def measured(seed: int, sizes: np.ndarray, tails: float = 1e6) -> Session:
     """One place read again and again, with a scatter of its own each time, in standard uncertainties."""
     n = len(sizes)
     read = 1e-6 * sizes * np.random.default_rng(seed).standard_t(tails, n)
-    columns = {"x": np.full(n, 0.1), "gx": np.ones(n), "gy": np.zeros(n), "gz": np.zeros(n), "time": 8.0 * np.arange(n)}
+    columns = {"x": np.full(n, 0.1), "time": 8.0 * np.arange(n)}
     return plates.session(columns | {"displacement": read}, 1e-6, "none", ["EXX"], np.arange(n), repeats=n)
 
 

@@ -32,8 +32,7 @@ def line(*runs: np.ndarray, repeat: bool = False, lost: float = 0.0) -> Session:
     sense = np.concatenate([np.full(len(run), np.sign(run[-1] - run[0])) for run in runs])
     numbers = np.repeat(np.arange(len(runs)), [len(run) for run in runs]) if repeat else np.zeros(len(x), dtype=int)
     read = 3e-6 * np.sin(9.0 * x) - lost * sense + 1e-6 * rng.normal(size=len(x))
-    columns = {"x": x, "gx": np.ones(len(x)), "gy": 0.0 * x, "gz": 0.0 * x, "displacement": read}
-    return plates.session(columns, 1e-6, "offset", ["EXX"], numbers)
+    return plates.session({"x": x, "displacement": read}, 1e-6, "offset", ["EXX"], numbers)
 
 
 @pytest.mark.parametrize("repeat", [False, True])
@@ -161,5 +160,5 @@ def test_advice_is_given_where_readings_were_set_aside() -> None:
 def test_whence_the_first_readings_come_nothing_says() -> None:
     """Corners read one after the other, four times: each is approached from one side, but for where the first began."""
     x, y = np.tile([0.0, 0.2, 0.2, 0.0], 4), np.tile([0.0, 0.0, 0.2, 0.2], 4)
-    up = {"gx": np.zeros(16), "gy": np.zeros(16), "gz": np.ones(16)}
+    up = {"gz": 1.0}
     assert not approaches(plates.session({"x": x, "y": y, **up, "displacement": 1e-6 * x}, 1e-6, "none", ["EZX"]))

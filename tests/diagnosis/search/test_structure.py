@@ -169,8 +169,7 @@ def test_times_of_patterns_are_told_in_readable_units() -> None:
 def test_in_one_pass_without_times_the_order_is_the_place() -> None:
     """What a scan of one axis has in it is called by the position, whichever way it went."""
     rng, x = np.random.default_rng(3), np.linspace(0.4, 0.0, 120)
-    columns = {key: np.zeros(120) for key in ("y", "z", "gy", "gz")} | {"gx": np.ones(120), "x": x}
-    columns["displacement"] = 1e-5 * (x > 0.25) + rng.normal(scale=1e-6, size=120)
+    columns = {"y": 0.0, "z": 0.0, "x": x, "displacement": 1e-5 * (x > 0.25) + rng.normal(scale=1e-6, size=120)}
     found = structure_candidates(Pool(fit_models([build_model(plates.session(columns, 1e-6))[0]])))
     assert not [one.name for one in found if "order" in one.name]
     step = next(one for one in found if "a step after" in one.name)
@@ -183,7 +182,7 @@ def test_in_one_pass_without_times_the_order_is_the_place() -> None:
 
 def test_where_every_run_has_its_places_at_the_same_turns_nothing_depends_on_these() -> None:
     rng, number = np.random.default_rng(3), np.tile(np.arange(12.0), 4)
-    columns = {key: np.zeros(48) for key in ("y", "z", "gy", "gz")} | {"gx": np.ones(48), "x": 0.01 * number}
+    columns = {"y": 0.0, "z": 0.0, "x": 0.01 * number}
     columns["displacement"], setup = rng.normal(scale=1e-6, size=48), np.repeat(np.arange(4), 12)
 
     def covariates(x: np.ndarray) -> set[str]:
@@ -224,7 +223,7 @@ def test_setups_that_read_one_place_have_no_slopes() -> None:
 def test_a_slow_wave_that_is_read_in_bursts_is_no_fast_one() -> None:
     """Three readings within eight seconds, every minute: half a wave in an hour has an alias of a minute's period."""
     time = (60.3 * np.arange(60)[:, None] + [0.0, 4.0, 8.0]).ravel()
-    columns = {key: np.zeros(180) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(180), "time": time}
+    columns = {"x": 0.0, "y": 0.0, "z": 0.0, "time": time}
     columns["displacement"] = 1e-5 * np.sin(np.pi * time / 3600.0) + 1e-6 * np.random.default_rng(1).normal(size=180)
     waves = [c for c in structure_candidates(Pool(fit_models([build_model(plates.session(columns, 1e-6))[0]])))]
     periods = [s.shape[0] for c in waves if "wave" in c.name for s in c.shapes]
@@ -233,7 +232,7 @@ def test_a_slow_wave_that_is_read_in_bursts_is_no_fast_one() -> None:
 
 def test_at_one_place_no_place_differs() -> None:
     """Two targets at one place; and twenty, too many to have a constant each."""
-    columns = {key: np.zeros(40) for key in ("x", "y", "z", "gy", "gz")} | {"gx": np.ones(40)}
+    columns = {"x": 0.0, "y": 0.0, "z": 0.0}
     columns["displacement"] = np.tile([0.0, 5e-5], 20) + 1e-6 * np.random.default_rng(1).normal(size=40)
     session = plates.session(columns, 1e-6)
     session = session.with_readings(replace(session.readings, labels={"target": np.tile(["A", "B"], 20)}))
@@ -280,7 +279,7 @@ def test_what_settles_after_each_start_depends_on_the_order_within_the_run() -> 
     """A balance that is at rest between runs: each begins too high, at whatever time."""
     rng = np.random.default_rng(4)
     number = np.tile(np.arange(12.0), 6)
-    columns = {key: np.zeros(72) for key in ("y", "z", "gy", "gz")} | {"gx": np.ones(72), "x": 0.1 * (number % 3)}
+    columns = {"y": 0.0, "z": 0.0, "x": 0.1 * (number % 3)}
     start, pace = np.repeat([np.cumsum(rng.uniform(300.0, 900.0, 6)), rng.uniform(5.0, 20.0, 6)], 12, axis=1)
     columns["time"] = start + pace * number
     columns["displacement"] = 5e-5 * np.exp(-number / 1.5) + 3e-6 * rng.normal(size=72)
@@ -295,7 +294,7 @@ def test_parts_that_bend_are_no_wave_of_the_order() -> None:
     rng = np.random.default_rng(4)
     z = np.tile(np.linspace(0.0, 0.03, 34), 8)
     side = np.repeat(np.tile([1.0, -1.0], 4), 34)
-    columns = {key: np.zeros(272) for key in ("x", "y", "gy", "gz")} | {"gx": np.ones(272), "z": z}
+    columns = {"x": 0.0, "y": 0.0, "z": z}
     columns["displacement"] = 1e-6 * side * (z / 0.015 - 1.0) ** 2 + 1e-7 * rng.normal(size=272)
     setup = np.repeat(np.arange(8), 34)
     found = diagnose(plates.session(columns, 1e-7, "rigid", ("EXZ",), None, *"ABCDEFGH", setup=setup))
@@ -307,7 +306,7 @@ def test_targets_that_differ_are_said_to() -> None:
     x = np.repeat(np.linspace(0.0, 0.6, 13), 4)
     target = np.tile(np.arange(4), 13)
     read = 1e-6 * np.array([0.0, 8.0, -5.0, 3.0])[target] + 1e-6 * np.random.default_rng(4).normal(size=len(x))
-    columns = {"x": x, "y": 0 * x, "z": 0 * x, "gx": 0 * x + 1.0, "gy": 0 * x, "gz": 0 * x, "displacement": read}
+    columns = {"x": x, "y": 0.0, "z": 0.0, "displacement": read}
     measured = plates.session({**columns, "time": 10.0 * np.arange(len(x))}, 1e-6, "offset", ["EXX"])
     labels = {"target": np.array([f"T{k}" for k in target])}
     found = diagnose(measured.with_readings(replace(measured.readings, labels=labels)))

@@ -23,9 +23,7 @@ def measured(seed: int, *, setups: bool = False, off: float = OFF) -> tuple[Sess
     places = np.add.outer(ezx, ezy).ravel() + rng.normal(0.0, off, 9)
     again = np.repeat(np.arange(TIMES), 9)
     read = np.tile(places, TIMES) + rng.normal(0.0, OFFSETS, TIMES)[again] + rng.normal(0.0, NOISE, 9 * TIMES)
-    zero = np.zeros(9 * TIMES)
-    columns = {"x": np.tile(x, TIMES), "y": np.tile(y, TIMES), "gx": zero, "gy": zero, "gz": zero + 1.0}
-    columns |= {"displacement": read}
+    columns = {"x": np.tile(x, TIMES), "y": np.tile(y, TIMES), "gz": 1.0, "displacement": read}
     each = {"setup": again.tolist()} if setups else {}
     names = [f"S{k}" for k in range(TIMES)] if setups else ["A"]
     repeat = None if setups else again
@@ -81,7 +79,7 @@ def test_readings_of_one_place_tell_the_noise() -> None:
     """A model of the place leaves nothing of it: what is left is noise, also where a part of it is far out."""
     rng = np.random.default_rng(0)
     read = rng.standard_t(2.0, 50) * 5e-3
-    columns = {"x": np.full(50, 0.05), "gx": np.ones(50), "gy": np.zeros(50), "gz": np.zeros(50)}
+    columns = {"x": np.full(50, 0.05)}
     time = {"time": 8.0 * np.arange(50)}
     session = plates.session(columns | time | {"displacement": read}, 7e-5, "none", ["EXX"], np.arange(50), repeats=50)
     one = diagnose(session)
@@ -103,7 +101,7 @@ def test_a_raster_says_nothing_of_runs(timed: bool) -> None:
     off += 1e-7 * np.random.default_rng(0).normal(size=off.shape)
     x, y = np.repeat(at, 2, axis=0).T
     gx = np.tile([1.0, 0.0], len(at))
-    columns = {"x": x, "y": y, "gx": gx, "gy": 1.0 - gx, "gz": 0.0 * gx, "displacement": off.ravel()}
+    columns = {"x": x, "y": y, "gx": gx, "gy": 1.0 - gx, "displacement": off.ravel()}
     columns |= {"time": 10.0 * np.arange(len(gx))} if timed else {}
     setup = np.repeat(np.arange(4), 2 * len(grid)).tolist()
     terms = ["EXX", "EYY", "EXY", "EYX", "C0Y"]
@@ -145,7 +143,7 @@ def test_setups_that_stand_aslant_are_in_u() -> None:
             at, aslant = first + np.linspace(0.0, 0.3, 7), 12e-6 * rng.normal()
             rows += [(setup, k, x, aslant * x + 1e-6 * rng.normal()) for k in range(3) for x in at]
         setup, again, x, read = np.array(rows).T
-        columns = {"x": x, "gx": np.ones(len(x)), "gy": np.zeros(len(x)), "gz": np.zeros(len(x)), "displacement": read}
+        columns = {"x": x, "displacement": read}
         each = {"setup": setup.astype(int).tolist(), "repeats": 3}
         found = fit_sessions(FitRequest.of(plates.session(columns, 1e-6, "offset", ["EXX"], again, *"ABC", **each)))
         off = found.error_map.error[:, 0] - found.error_map.error[:, 0].mean()

@@ -16,8 +16,7 @@ U = 3e-7
 def scan(deviation: np.ndarray, x: np.ndarray, passes: int, seed: int = 0):
     """Passes along an axis of which each place (k,) deviates (k,), m."""
     at, noise = np.tile(x, passes), np.random.default_rng(seed).normal(size=passes * len(x))
-    columns = {"time": 10.0 * np.arange(len(at)), "x": at, "gx": 1 + 0 * at, "gy": 0 * at, "gz": 0 * at}
-    columns["displacement"] = np.tile(deviation, passes) + U * noise
+    columns = {"time": 10.0 * np.arange(len(at)), "x": at, "displacement": np.tile(deviation, passes) + U * noise}
     return plates.session(columns, U, "none", ("EXX",), np.repeat(np.arange(passes), len(x)))
 
 
@@ -100,7 +99,7 @@ def test_a_place_that_is_off_the_map_is_named() -> None:
     """A hole of a plate that two setups find at the same wrong place, which tables of the axes cannot follow."""
     rng, (x, y) = np.random.default_rng(3), (axis.ravel() for axis in np.meshgrid(*[np.linspace(0.0, 0.3, 8)] * 2))
     hole = np.where((x == x[19]) & (y == y[19]), 2e-5, 0.0)
-    columns = {"x": np.tile(x, 2), "y": np.tile(y, 2), "gx": np.zeros(128), "gy": np.zeros(128), "gz": np.ones(128)}
+    columns = {"x": np.tile(x, 2), "y": np.tile(y, 2), "gz": 1.0}
     columns["displacement"] = np.tile(hole, 2) + 1e-6 * rng.normal(size=128)
     setup = np.repeat([0, 1], 64).tolist()
     found = identify(plates.session(columns, 1e-6, "offset", ["EZX", "EZY"], None, "A", "B", setup=setup))

@@ -80,7 +80,7 @@ def test_what_each_direction_scatters_by_is_said() -> None:
 def three_setups() -> Session:
     """Of one place, so that setups cannot be told by places: they scatter by 1, 1 and 30 µm."""
     rng, setup = np.random.default_rng(1), np.repeat([0, 1, 2], 12)
-    columns = {key: np.zeros(36) for key in "xyz"} | {"gx": np.ones(36), "gy": np.zeros(36), "gz": np.zeros(36)}
+    columns = {key: np.zeros(36) for key in "xyz"}
     columns["displacement"] = np.array([1e-6, 1e-6, 30e-6])[setup] * rng.normal(size=36)
     return plates.session(columns, 1e-6, "offset", (), None, "a", "b", "c", setup=setup.tolist())
 
@@ -165,7 +165,7 @@ def test_directions_that_only_setups_make_differ_are_not_named() -> None:
     """Beams at an angle to the axes have no direction of their own; what differs is the setup."""
     rng, setup = np.random.default_rng(0), np.tile(np.repeat([0, 1], 11), 6)
     place = np.tile(np.arange(11), 12)
-    columns = {"x": PLACES[place], "y": 0.0 * place, "z": 0.0 * place, "gz": 0.0 * place}
+    columns = {"x": PLACES[place], "y": 0.0, "z": 0.0, "gz": 0.0 * place}
     columns |= {"gx": np.where(setup == 0, 0.8, 0.6), "gy": np.where(setup == 0, 0.6, 0.8)}
     columns["displacement"] = np.array([1e-6, 15e-6])[setup] * rng.normal(size=132)
     session = plates.session(columns, 1e-6, "none", ["EXX", "EYX"], np.repeat(np.arange(6), 22), "A", "B", setup=setup)
@@ -198,7 +198,7 @@ def test_a_part_of_the_readings_counts_as_it_does_among_all() -> None:
 def test_readings_that_scatter_less_than_declared_are_not_said_to_be_used() -> None:
     """Of two degrees of freedom the uncertainties exceed the declared one a little, and are not of the scatter."""
     x, read = np.array([0.0, 0.1, 0.2, 0.3, 0.0, 0.2]), 1e-6 * np.array([0.0, 1.0, 2.0, 1.0, 0.4, 1.7])
-    columns = {"x": x, "gx": np.ones(6), "gy": 0.0 * x, "gz": 0.0 * x, "displacement": read}
+    columns = {"x": x, "displacement": read}
     found = identify(plates.session(columns, 5e-7, "none", ("EXX",))).error_map.content["scatter"]
     assert found["found"] < found["declared"] and found["factor"] > 1.0
     assert found["uncertainties_from"] == "declared"

@@ -335,7 +335,7 @@ def test_angles_with_one_lever_arm_leave_the_map_of_a_plate_as_it_is(height: flo
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 0.4, 5), np.linspace(0.0, 0.3, 4)))
     x, y, along_x = np.tile(x, 4), np.tile(y, 4), np.repeat([1.0, 1.0, 0.0, 0.0], x.size)
     noise = 1e-7 * np.random.default_rng(5).standard_normal(x.size)
-    columns = {"x": x, "y": y, "z": 0.0 * x + height, "gx": along_x, "gy": 1.0 - along_x, "gz": 0.0 * x}
+    columns = {"x": x, "y": y, "z": 0.0 * x + height, "gx": along_x, "gy": 1.0 - along_x}
     columns["displacement"] = (4e-5 * x + 2e-5 * x**2) * along_x + (3e-5 * x**2 - 2e-5 * y) * columns["gy"] + noise
     terms = ("EXX", "EYX", "EXY", "EYY", "C0Y")
     chosen = (plates.session(columns, 1e-7, "rigid", (*terms, *more)) for more in ((), ("EAX", "EBX", "EAY", "EBY")))

@@ -55,7 +55,7 @@ def test_nodes_that_are_no_whole_nanometres(several: SimpleNamespace) -> None:
     spec = several.machine(1)
     spec["motions"] = {name: own | {"nodes": tuple(nodes)} for name, own in spec["motions"].items()}
     run = plates.session(
-        {"x": nodes, "y": 0 * nodes, "z": 0 * nodes, "gx": 1 + 0 * nodes, "gy": 0 * nodes, "gz": 0 * nodes,
+        {"x": nodes, "y": 0 * nodes, "z": 0 * nodes,
          "displacement": np.interp(nodes, nodes, spec["motions"]["EXX"]["values"])},
         2e-7, "offset", ("EXX",),
     )  # fmt: skip
@@ -239,7 +239,7 @@ def test_a_place_of_which_a_component_was_never_read_has_none_of_it() -> None:
 
     def measured(x: np.ndarray, y: np.ndarray, along: np.ndarray) -> Session:
         true = np.where(along, 3e-6 * np.sin(12.0 * y) + 1e-6, 5e-6 * y)
-        columns = {"x": x, "y": y, "z": 0.0 * x, "gx": along, "gy": 1.0 - along, "gz": 0.0 * x}
+        columns = {"x": x, "y": y, "z": 0.0, "gx": along, "gy": 1.0 - along}
         columns["displacement"] = true + noise * rng.normal(size=len(x))
         return plates.session(columns, noise, "offset", ("EXX", "EYY", "EXY", "EYX"))
 
