@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -57,9 +59,30 @@ def true_motions(simulated: Simulated, angles: np.ndarray, axis: str = "C") -> n
     return np.array([simulated.truth.machine.motion(name, angles) for name in motions(axis)])
 
 
+def difference(simulated: Simulated, content: Any, axis: str = "C") -> np.ndarray:
+    """(6, K) error motions less those of the machine, without the datum; NaN where nothing was found."""
+    angles, sign = np.asarray(content[axis.lower()]), simulated.session.rotation_sign
+    value, _ = found(content, axis)
+    truth = np.where(np.isfinite(value), true_motions(simulated, angles, axis), np.nan)
+    return without_datum(value, angles, sign, axis) - without_datum(truth, angles, sign, axis)
+
+
+def judged(runs: int, axis: str = "C", **plan: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors against the truth, stated uncertainties, and reduced chi-squares, over many runs."""
+    errors, stated, chi = [], [], []
+    for seed in range(runs):
+        simulated = measured(seed, axis=axis, **plan)
+        check_session(simulated.session)
+        result = identify(simulated.session)
+        errors.append(difference(simulated, result.error_map.content, axis))
+        stated.append(found(result.error_map.content, axis)[1])
+        chi.append(result.fit.joint.reduced_chi_square)
+    return np.array(errors), np.array(stated), np.array(chi)
+
+
 @pytest.fixture(scope="session")
 def rotary() -> SimpleNamespace:
     """The functions of this file."""
     return SimpleNamespace(
-        measured=measured, motions=motions, without_datum=without_datum, found=found, true_motions=true_motions
+        **{one.__name__: one for one in (measured, motions, without_datum, found, true_motions, difference, judged)}
     )

@@ -38,23 +38,6 @@ TARGETS = {
 LEVEL = {"P": (-0.1, 0.13, 0.03), "Q": (0.12, 0.09, 0.03)}
 
 
-def _ratio(rotary: SimpleNamespace, runs: int, axis: str = "C", **plan: object) -> tuple[float, float]:
-    """Mean squared normalised error, and RMS error over the stated uncertainty, motion by motion the worst."""
-    errors, stated = [], []
-    for seed in range(runs):
-        simulated = rotary.measured(seed, axis=axis, **plan)
-        check_session(simulated.session)
-        content = identify(simulated.session).error_map.content
-        angles = np.asarray(content[axis.lower()])
-        value, uncertainty = rotary.found(content, axis)
-        truth = rotary.true_motions(simulated, angles, axis)
-        errors.append(rotary.without_datum(value, angles, axis=axis) - rotary.without_datum(truth, angles, axis=axis))
-        stated.append(uncertainty)
-    error, u = np.array(errors), np.array(stated)
-    worst = np.sqrt(np.mean(error**2, axis=(0, 2)) / np.mean(u**2, axis=(0, 2))).max()
-    return float(np.mean((error / u) ** 2)), float(worst)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("axis", "plan"),
@@ -70,9 +53,11 @@ def test_normalised_errors_over_some_runs(
     rotary: SimpleNamespace, axis: str, plan: dict[str, object], many: Any
 ) -> None:
     some = many.part(0.4)
-    squared, worst = _ratio(rotary, some.count, axis, **plan)
-    assert squared == pytest.approx(1.0, abs=some.off(0.055))
-    assert worst < 1.0 + some.off(0.055)
+    error, u, _ = rotary.judged(some.count, axis, **plan)
+    assert np.mean((error / u) ** 2) == pytest.approx(1.0, abs=some.off(0.055))
+    # motion by motion
+    ratio = np.sqrt(np.mean(error**2, axis=(0, 2)) / np.mean(u**2, axis=(0, 2)))
+    assert ratio.max() < 1.0 + some.off(0.055)
 
 
 @pytest.mark.long
@@ -101,17 +86,9 @@ def test_targets_on_a_line_say_how_little_they_know(rotary: SimpleNamespace) -> 
 
 @pytest.mark.long
 def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: SimpleNamespace, many: Any) -> None:
-    one, four = [], []
     some = many.part(0.2)
-    for repeats, into in ((1, one), (4, four)):
-        for seed in range(some.count):
-            simulated = rotary.measured(seed, repeats=repeats, repeatability=1e-6)
-            content = identify(simulated.session).error_map.content
-            angles = np.asarray(content["c"])
-            value, _ = rotary.found(content)
-            truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
-            into.append(rotary.without_datum(value, angles)[:3] - truth[:3])
-    assert np.sqrt(np.mean(np.square(one)) / np.mean(np.square(four))) == pytest.approx(2.0, rel=some.off(0.035))
+    one, four = (rotary.judged(some.count, repeats=repeats, repeatability=1e-6)[0][:, :3] for repeats in (1, 4))
+    assert np.sqrt(np.mean(one**2) / np.mean(four**2)) == pytest.approx(2.0, rel=some.off(0.035))
 
 
 @pytest.mark.long
