@@ -10,7 +10,6 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.measurement import NODES
 from machine_tool_calibration.simulation.site import read_site
 
 LAUNCH = Path(__file__).parents[2] / "launch"
@@ -27,11 +26,6 @@ def test_launch_files_compile_and_describe_a_launch(file):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("machine_tool_calibration"):
             module = __import__(node.module, fromlist=[alias.name for alias in node.names])
             assert all(hasattr(module, alias.name) for alias in node.names)
-
-
-def test_every_node_has_an_executable():
-    scripts = {file.name for file in (LAUNCH.parent / "scripts" / "nodes").iterdir()}
-    assert set(NODES) <= scripts
 
 
 # --- what they do, with records in place of `launch`

@@ -20,13 +20,13 @@ import pytest
 
 from machine_tool_calibration import __version__
 from machine_tool_calibration.nodes.__main__ import NODES as RUN
+from machine_tool_calibration.nodes.measurement import NODES
 
 PACKAGE = "machine_tool_calibration"
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / PACKAGE
 EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
 DATA = f"{PACKAGE}-{__version__}.data/data"
-NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator", "recorder")
 # Rooms whose libraries are an extra of that name, and the modules that they alone import.
 EXTRAS = {"workbench": re.compile(r"bokeh|panel|tornado"), "fleet": re.compile(r"dask|distributed")}
 # ROS packages: exec_depend of package.xml, the extra `ros` of setup.cfg.

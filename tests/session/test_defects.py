@@ -208,6 +208,7 @@ EFFECT = "effects:\n- {{id: creep, enters: reading, formula: r * time, coefficie
         (read_spec, "plan: {method: direct}\nnoise: -1\n", "line 2: noise must be greater than 0, not -1"),
         (read_spec, "plan: {method: direct}\nnoize: 1e-7\n", "line 2: unknown key 'noize' (did you mean 'noise'?)"),
         (read_spec, "plan: {method: direct}\ndirect: 1\n", "line 2: unknown key 'direct'"),
+        (read_spec, "plan:\n  method: probing\n  form: -1\n", "line 3: plan.form must be at least 0"),
         (read_machine, "probing: 1\n", "line 1: unknown key 'probing'"),
         (read_machine, "# random: null\n", ": the file is empty"),
         (lambda path: read_site(str(path)), "seed: -1\n", "line 1: seed must be at least 0, not -1"),

@@ -11,7 +11,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import MachineSpec, SimulationSpec, TrackingPlan, build_machine, read_machine
 from machine_tool_calibration.simulation.machine_file import machine_document
-from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
+from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, spec_from
 
 MACHINES = sorted((Path(__file__).parents[2] / "config" / "machines").glob("*.yaml"))
 
@@ -107,16 +107,6 @@ def test_spec_file_and_options_on_top(tmp_path, verb):
 def test_wrong_requests_get_one_line(words, said, tmp_path, verb):
     assert said in verb.refused("simulate", *words, tmp_path / "s")
     assert not (tmp_path / "s").exists()
-
-
-def test_spec_errors_name_file_line_and_key(tmp_path):
-    spec = tmp_path / "spec.yaml"
-    spec.write_text("seed: 1\nplan:\n  method: probing\n  form: -1\n")
-    with pytest.raises(CalibrationError, match=r"spec\.yaml line 4: plan\.form must be at least 0"):
-        read_spec(spec)
-    spec.write_text("sede: 1\nplan: {method: probing}\n")
-    with pytest.raises(CalibrationError, match=r"spec\.yaml line 1: unknown key 'sede'"):
-        read_spec(spec)
 
 
 def test_list_and_help(verb):
