@@ -256,11 +256,7 @@ def test_a_disk_that_stays_full_leaves_what_recover_needs(tmp_path: Path, monkey
     bag.add_topic("/text", TEXT)
     bag.write("/text", encode(TEXT, "kept"), 1)
     bag.flush()
-
-    def full(file: int, data: bytes) -> int:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(writer.os, "write", full)
+    full_disk(monkeypatch, [0])
     bag.write("/text", encode(TEXT, "lost"), 2)
     with pytest.raises(RecordingError, match="No space left"):
         bag.close()

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.instruments.drivers import InstrumentError, Sample
+from machine_tool_calibration.instruments.drivers import InstrumentError
 from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
 
-LONG = 120.0
+from .test_tcp import LONG, read
 
 
 class Port:
@@ -59,14 +59,6 @@ def settings(port: Port, **changes: object) -> AsciiLineSettings:
         "timeouts": {"reconnect": 0.01},
     }
     return AsciiLineSettings.model_validate(content | changes)
-
-
-def read(driver: AsciiLineDriver, number: int) -> list[Sample]:
-    samples: list[Sample] = []
-    end = time.monotonic() + LONG
-    while len(samples) < number and time.monotonic() < end:
-        samples += driver.read(1.0)
-    return samples
 
 
 def test_stream_with_partial_lines_garbage_and_broken_beam(port: Port) -> None:
