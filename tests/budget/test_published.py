@@ -217,13 +217,16 @@ def test_parts_hold_whole_setups_in_the_order_of_the_readings(session: Session) 
     assert sizes == np.cumsum(np.bincount(session.readings.setup)).tolist()
 
 
-def test_an_effect_that_cannot_act_is_no_matter_of_too_few_readings(session: Session) -> None:
-    until = Until.parse("told=backlash_y,probe_pretravel")
-    with pytest.raises(ModelError, match=r"^effect probe_pretravel: does not occur with tracking interferometer$"):
-        next(after_each_setup(FitRequest((session,)), until))
-
-
-@pytest.mark.parametrize("until", ["U=2um", "told=backlash_y"])
-def test_a_model_that_there_is_not_is_no_matter_of_too_few_readings(session: Session, until: str) -> None:
-    with pytest.raises(ModelError, match="has no model 'fre'"):
-        next(after_each_setup(FitRequest((session,), model="fre"), Until.parse(until)))
+@pytest.mark.parametrize(
+    ("model", "until", "why"),
+    [
+        (None, "told=backlash_y,probe_pretravel", "^effect probe_pretravel: does not occur with tracking interfero"),
+        ("fre", "U=2um", "has no model 'fre'"),
+        ("fre", "told=backlash_y", "has no model 'fre'"),
+    ],
+)
+def test_what_cannot_be_in_the_model_is_no_matter_of_too_few_readings(
+    session: Session, model: str | None, until: str, why: str
+) -> None:
+    with pytest.raises(ModelError, match=why):
+        next(after_each_setup(FitRequest((session,), model=model), Until.parse(until)))

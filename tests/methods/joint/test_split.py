@@ -102,18 +102,6 @@ def test_an_error_motion_is_the_same_function_in_sessions_at_different_places(se
             assert np.allclose(term.columns, expected[:, key == k], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("ends", "expected"),
-    [((-0.02, 0.44), (-0.02, 0.44)), ((0.1, 0.6), (0.0, 0.4)), ((-0.1, 0.6), (0.0, 0.4)), (None, (0.0, 0.4))],
-)
-def test_the_span_is_the_travel_where_readings_fill_it(ends, expected) -> None:
-    session = tracked(4, 2).session
-    travel = {} if ends is None else {"x": ends}
-    machine = session.description.machine.model_copy(update={"travel": travel})
-    session = type(session)(session.description.model_copy(update={"machine": machine}), session.readings)
-    assert identify(session).fit.model.observations.span("x") == pytest.approx(expected)
-
-
 def test_each_session_has_its_own_start_of_time() -> None:
     """Drifts and instruments are each session's, and the map is as good as that of one session."""
     made = tracked(5, 2, effects=[{"id": "warmup_x", "size": 8e-6, "parameters": {"tau": 600.0}}])
