@@ -148,9 +148,15 @@ def clean(plan: str) -> Session:
 
 
 @cache
-def quiet(plan: str) -> Session:
+def quiet(plan: str, seed: int) -> Session:
     """With noise, and nothing hidden in it."""
-    return simulate(spec(plan, 19)).session
+    return simulate(spec(plan, seed)).session
+
+
+@cache
+def identified(plan: str) -> Result:
+    """Of a session in which nothing is hidden."""
+    return identify(quiet(plan, 23))
 
 
 @cache
@@ -196,13 +202,6 @@ def recovered(name: str) -> Result:
     return identify(injected(name, SHOWN[name][0]), effects=[name])
 
 
-@cache
-def sound(plan: str) -> tuple[Session, Result]:
-    """A session in which nothing is hidden, and its result."""
-    session = simulate(spec(plan, 23)).session
-    return session, identify(session)
-
-
 # Of effects that differ by their axis alone one; the columns of every one are held against exact geometry.
 EACH = [
     name
@@ -234,13 +233,9 @@ def test_a_hidden_effect_is_recovered_within_its_uncertainty(name: str) -> None:
     result = recovered(name)
     coefficient = next(e for e in result.parameters if e.name == f"{name}.{effect.coefficients[0].name}")
     assert abs(coefficient.value) > 5 * coefficient.standard_uncertainty
-    truth = _coefficient_of(wanted * 30.0 / strength, fit, effect.columns(fit.model.observations))
-    assert abs(coefficient.value - truth) < 4 * coefficient.standard_uncertainty
-
-
-def _coefficient_of(wanted: np.ndarray, fit: Fit, columns: np.ndarray) -> float:
-    projected = screen(fit, np.concatenate([columns, wanted[None]])).gram
-    return float(projected[0, 1] / projected[0, 0])
+    columns = effect.columns(fit.model.observations)
+    projected = screen(fit, np.concatenate([columns, wanted[None] * 30.0 / strength])).gram
+    assert abs(coefficient.value - projected[0, 1] / projected[0, 0]) < 4 * coefficient.standard_uncertainty
 
 
 @pytest.mark.long
@@ -248,7 +243,7 @@ def _coefficient_of(wanted: np.ndarray, fit: Fit, columns: np.ndarray) -> float:
 def test_nothing_is_found_where_nothing_is(name: str) -> None:
     plan, _ = SHOWN[name]
     effect = catalogue()[name]
-    result = identify(quiet(plan), effects=[name])
+    result = identify(quiet(plan, 19), effects=[name])
     shapes = {f"{name}.{coefficient.name}" for coefficient in effect.shapes}
     sizes = [e for e in result.parameters if e.name.startswith(f"{name}.") and e.name not in shapes]
     assert sizes
@@ -263,15 +258,15 @@ def test_nothing_is_found_where_nothing_is(name: str) -> None:
 @pytest.mark.long(but=[f"{plan}-{name}" for plan, names in TAKEN_UP.items() for name in names if name in EACH])
 @pytest.mark.parametrize(("plan", "name"), [(plan, name) for plan, names in TAKEN_UP.items() for name in names])
 def test_what_the_model_takes_up_is_said_and_does_no_harm(plan: str, name: str) -> None:
-    session, without = sound(plan)
-    with_effect = identify(session, effects=[name])
+    without = identified(plan)
+    with_effect = identify(quiet(plan, 23), effects=[name])
     assert name in {n.name for n in with_effect.not_determined}
     np.testing.assert_array_equal(with_effect.error_map.error, without.error_map.error)
 
 
 @pytest.mark.parametrize(("plan", "name"), [(plan, name) for plan, names in STILL_AIR.items() for name in names])
 def test_what_does_not_change_is_taken_up(plan: str, name: str) -> None:
-    session = simulate(spec(plan, 23)).session
+    session = quiet(plan, 23)
     still = {
         column: np.full_like(values, values[0]) if column.startswith(("temperature", "air", "relative")) else values
         for column, values in session.readings.columns.items()
