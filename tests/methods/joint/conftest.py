@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several sessions of one simulated machine."""
 
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,18 +26,25 @@ PLANS: dict[str, dict[str, Any]] = {
 }
 
 
-def machine(seed: int, **changed: np.ndarray) -> dict[str, Any]:
-    """Motions with straight lines between the nodes, so that tables can follow them exactly; some changed."""
+def machine(
+    seed: int,
+    nodes: Mapping[str, Sequence[float]] = dict.fromkeys("XYZ", NODES),
+    interpolation: str = "linear",
+    chain: str = CHAIN,
+    **changed: np.ndarray,
+) -> dict[str, Any]:
+    """Motions with straight lines between the nodes, so that tables can follow them exactly, or cubic; some changed."""
     rng = np.random.default_rng(seed)
     motions = {}
-    for axis in "XYZ":
+    for axis, places in nodes.items():
         for component in "XYZABC":
             size = 4e-6 if component in "XYZ" else 1e-5
-            values = size * np.cumsum(rng.normal(size=6)) / 2
-            values = values - values[0] + changed.get(f"E{component}{axis}", np.zeros(6))
-            motions[f"E{component}{axis}"] = {"nodes": NODES, "values": values.tolist(), "interpolation": "linear"}
-    travel = {axis: (0.0, 0.4) for axis in "XYZ"}
-    return {"seed": seed, "chain": CHAIN, "travel": travel, "random": None, "motions": motions}
+            values = size * np.cumsum(rng.normal(size=len(places))) / 2
+            values = values - values[0] + changed.get(f"E{component}{axis}", np.zeros(len(places)))
+            own = {"nodes": places, "values": values.tolist(), "interpolation": interpolation}
+            motions[f"E{component}{axis}"] = own
+    travel = {axis: (places[0], places[-1]) for axis, places in nodes.items()}
+    return {"seed": seed, "chain": chain, "travel": travel, "random": None, "motions": motions}
 
 
 def measured(name: str, seed: int, spec: dict[str, Any] | None = None, **outer: Any) -> Simulated:

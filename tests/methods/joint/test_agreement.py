@@ -225,25 +225,12 @@ PLANS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def _machine(seed: int, **changed: np.ndarray) -> dict[str, Any]:
-    """Motions with smooth curves between the nodes of the grid; some changed."""
-    rng = np.random.default_rng(seed)
-    motions = {}
-    for axis in "XYZ":
-        nodes = HEIGHTS if axis == "Z" else NODES
-        for component in "XYZABC":
-            size = 4e-6 if component in "XYZ" else 1e-5
-            values = size * np.cumsum(rng.normal(size=len(nodes))) / 2
-            values = values - values[0] + changed.get(f"E{component}{axis}", np.zeros(len(nodes)))
-            motions[f"E{component}{axis}"] = {"nodes": nodes, "values": values.tolist(), "interpolation": "cubic"}
-    travel = {"X": (-0.11, 0.11), "Y": (-0.11, 0.11), "Z": (0.0, 0.06)}
-    return {"seed": seed, "chain": CHAIN, "travel": travel, "random": None, "motions": motions}
-
-
-def _measured(name: str, seed: int, **changed: np.ndarray) -> Simulated:
+def _measured(several: SimpleNamespace, name: str, seed: int, **changed: np.ndarray) -> Simulated:
+    """On a machine with smooth curves between the nodes of the grid; some changed."""
     content: dict[str, Any] = {"seed": 100 * seed + list(PLANS).index(name), "plan": PLANS[name]}
     if name != "rotary":
-        content["machine"] = _machine(seed, **changed)
+        nodes = {"X": NODES, "Y": NODES, "Z": HEIGHTS}
+        content["machine"] = several.machine(seed, nodes, "cubic", CHAIN, **changed)
     return simulate(SimulationSpec.model_validate(content))
 
 
@@ -257,25 +244,21 @@ def _missed(result: JointResult, simulated: Simulated) -> np.ndarray:
     return np.asarray(error - open_ @ np.linalg.lstsq(open_[known], error[known], rcond=1e-9)[0]).reshape(-1, 3)
 
 
-def _normalised(result: JointResult, simulated: Simulated) -> float:
-    """Mean squared normalised error within the grid, at its places and between."""
-    points, uncertainty, error = result.error_map.points, result.error_map.uncertainty, _missed(result, simulated)
-    good = (uncertainty > 1e-12) & (np.abs(points) < 0.1101).all(axis=1)[:, None]
-    return float(np.mean((error[good] / uncertainty[good]) ** 2))
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("one", "other"),
     [("probing", "space"), ("probing", "plane"), ("plane", "space"), ("probing", "rotary"), ("space", "rotary")],
 )
-def test_one_map_with_the_right_uncertainty(one: str, other: str, many: Any) -> None:
+def test_one_map_with_the_right_uncertainty(several: SimpleNamespace, one: str, other: str, many: Any) -> None:
     found, chi, wrong = [], [], 0
     some = many.part(0.25)
     for seed in range(some.count):
-        simulated = [_measured(name, seed) for name in (one, other)]
+        simulated = [_measured(several, name, seed) for name in (one, other)]
         result = identify_sessions(FitRequest(tuple(s.session for s in simulated), (one, other)))
-        found.append(_normalised(result, simulated[0]))
+        # Within the grid, at its places and between.
+        u, error = result.error_map.uncertainty, _missed(result, simulated[0])
+        good = (u > 1e-12) & (np.abs(result.error_map.points) < 0.1101).all(axis=1)[:, None]
+        found.append(np.mean((error[good] / u[good]) ** 2))
         chi.append(result.fit.reduced_chi_square)
         wrong += bool(result.agreement.contradictions)
     assert np.mean(found) == pytest.approx(1.0, abs=some.off(0.043))
@@ -284,16 +267,16 @@ def test_one_map_with_the_right_uncertainty(one: str, other: str, many: Any) -> 
 
 
 @pytest.mark.parametrize(("other", "motion"), [("space", "EXX"), ("space", "EXY"), ("plane", "EYX"), ("plane", "EYY")])
-def test_probing_and_tracking_that_contradict_each_other(other: str, motion: str) -> None:
-    sessions = [_measured("probing", 3).session, _measured(other, 3, **{motion: BENT}).session]
+def test_probing_and_tracking_that_contradict_each_other(several: SimpleNamespace, other: str, motion: str) -> None:
+    sessions = [_measured(several, "probing", 3).session, _measured(several, other, 3, **{motion: BENT}).session]
     agreement = identify_sessions(FitRequest(sessions, ("probing", other))).agreement
     assert agreement.contradictions[0].motion == motion
     assert f"contradict each other in {motion}" in agreement.statement
 
 
 @pytest.mark.long
-def test_two_rotary_axes_are_not_one() -> None:
-    sessions = [_measured("rotary", seed).session for seed in (1, 2)]
+def test_two_rotary_axes_are_not_one(several: SimpleNamespace) -> None:
+    sessions = [_measured(several, "rotary", seed).session for seed in (1, 2)]
     agreement = identify_sessions(FitRequest(sessions, ("first", "second"))).agreement
     assert agreement.contradictions and agreement.contradictions[0].motion.endswith("C")
 
