@@ -53,7 +53,8 @@ def test_stops_in_the_middle_of_work(bench, number):
     graph = bench.graph(NAMES, simulated_time=number == signal.SIGINT, more=more)
     operator = bench.operator(graph)
     if number == signal.SIGTERM:  # before the work, on the same graph
-        every_parameter_is_described_and_has_the_default_of_the_example(operator)
+        check_descriptions(operator)
+        check_examples(operator)
     begin(operator)
     # all of them at work, the estimator too, which takes longest to start
     assert operator.wait(
@@ -153,11 +154,6 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path):
         said = log.read_text()
         assert len(said.splitlines()) == 1, said
         assert said.startswith(f"{name}: ") and message in said
-
-
-def every_parameter_is_described_and_has_the_default_of_the_example(operator):
-    check_descriptions(operator)
-    check_examples(operator)
 
 
 def check_descriptions(operator):
