@@ -115,15 +115,12 @@ def test_the_picture_of_what_is_left(tmp_path: Path, verb: Verb) -> None:
 HALF = 2e-6
 
 
-def simulated(folder: Path, plan: str, effect: str, **settings: Any) -> Path:
-    spec = SimulationSpec(plan=PRESETS[plan], seed=4, effects=(FlawSpec(id=effect, **settings),))
-    write_session(simulate(spec).session, folder)
-    return folder
-
-
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulated(tmp_path_factory.mktemp("export") / "plane", "tracking_2d", "backlash_y", size=HALF)
+    folder = tmp_path_factory.mktemp("export") / "plane"
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4, effects=(FlawSpec(id="backlash_y", size=HALF),))
+    write_session(simulate(spec).session, folder)
+    return folder
 
 
 def exported(sessions: list[Path], form: str, effect: str, folder: Path, verb: Verb) -> dict[str, Any]:

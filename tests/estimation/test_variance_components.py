@@ -170,12 +170,7 @@ def test_what_is_not_repeated_is_told_by_all_readings_beside_what_is() -> None:
     # What a size gains over the prior is its evidence by all readings, up to a constant for each of the others' sizes.
     beside = ratios[:, 0] == ratios[int(np.argmax(found.log_weights)), 0]
     gained = (found.log_weights - by_prior.log_weights)[beside]
-    exact = [log_evidence(gram, tuple(ratio)) for ratio in ratios[beside]]
-    np.testing.assert_allclose(gained - gained[0], np.array(exact) - exact[0], atol=1e-9)
+    left = [left_at(gram, tuple(ratio)) for ratio in ratios[beside]]
+    exact = np.array([log + float(logsumexp(log_noise(squares, gram.dof))) for log, squares in left])
+    np.testing.assert_allclose(gained - gained[0], exact - exact[0], atol=1e-9)
     assert found.weights @ ratios[:, 1] > 2.0
-
-
-def log_evidence(gram: Gram, ratio: tuple[float, ...]) -> float:
-    """Without the prior of the sizes."""
-    log, squares = left_at(gram, ratio)
-    return log + float(logsumexp(log_noise(squares, gram.dof)))

@@ -229,11 +229,6 @@ def test_a_rotary_table_by_a_tracker(tmp_path: Path) -> None:
         import_table(tmp_path / "table.csv", parse_mapping({**content, "targets": {"P": "0.15, 0, 0.1 m"}}, "m"))
 
 
-def figures(session: Any) -> dict[str, Any]:
-    (run,) = identify(session).error_map.content["iso230_2"]
-    return dict(run)
-
-
 def test_the_three_layouts_of_iso_230_2_say_the_same() -> None:
     wide = read("iso230_wide.csv", WIDE, "X").session
     rows = read(
@@ -267,7 +262,7 @@ def test_the_three_layouts_of_iso_230_2_say_the_same() -> None:
     )
     cells = np.loadtxt(DATA / "iso230_wide.csv", delimiter=",", skiprows=1)[:, 1:] * 1e-6
     up, down = cells[:, 0::2], cells[:, 1::2]
-    said = figures(wide)
+    (said,) = identify(wide).error_map.content["iso230_2"]
     assert said["axis"] == "X"
     assert said["mean_up"] == pytest.approx(up.mean(axis=1), abs=1e-15)
     assert said["s_down"] == pytest.approx(down.std(axis=1, ddof=1), abs=1e-15)

@@ -6,7 +6,6 @@ What is known after further measurements: as exact as the counting of readings a
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -43,12 +42,6 @@ def look(session: Session) -> tuple[Diagnosis, Advice]:
     return found, advice
 
 
-@cache
-def one_way(seed: int) -> tuple[Diagnosis, Advice]:
-    """Of a rotary axis that turns in one direction only."""
-    return look(simulate(SimulationSpec(plan=PRESETS["rotary_axis_one_way"], seed=seed)).session)
-
-
 def separation(advice: Advice, *names: str) -> Separation:
     return next(s for s in advice.separations if set(names) <= set(s.effects))
 
@@ -82,7 +75,7 @@ def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None
 @pytest.mark.long
 def test_backlash_that_one_direction_hides_shows_when_turning_back() -> None:
     """One-way runs of the table absorb the backlash of C; both ways show what was promised."""
-    found, advice = one_way(5)
+    found, advice = look(simulate(SimulationSpec(plan=PRESETS["rotary_axis_one_way"], seed=5)).session)
     assert "backlash_c" in {a.effect for a in found.search.absorbed}
     way = next(v for v in advice.visibilities if v.effect == "backlash_c")
     assert way.kind == "both_ways"

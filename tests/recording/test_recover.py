@@ -156,12 +156,9 @@ def test_damaged_bytes_give_session_errors_only(
         data = data[:at] + new + data[at + length :]
     file = tmp_path / "bad.mcap"
     file.write_bytes(data)
-    for attempt in (lambda: whole(file), lambda: session_from_bag(file), lambda: recover(file, free(tmp_path))):
+    free = tmp_path / f"out{len(list(tmp_path.iterdir()))}"
+    for attempt in (lambda: whole(file), lambda: session_from_bag(file), lambda: recover(file, free)):
         try:
             attempt()
         except SessionError as error:
             assert "\n" not in str(error)
-
-
-def free(folder: Path) -> Path:
-    return folder / f"out{len(list(folder.iterdir()))}"

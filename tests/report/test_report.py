@@ -166,12 +166,6 @@ def page(name: str, language: str, **options: bool) -> str:
     return html(evaluated(name), content(name, language), words(language), **options)
 
 
-def seen(text: str) -> Seen:
-    parser = Seen()
-    parser.feed(text)
-    return parser
-
-
 def blocks(name: str, kind: type) -> list:
     return [block for section in content(name, "en") for block in section.blocks if isinstance(block, kind)]
 
@@ -181,7 +175,8 @@ def blocks(name: str, kind: type) -> list:
 def test_every_method_has_a_page_that_is_sound_and_loads_nothing(name):
     text = page(name, "en")
     html5lib.HTMLParser(strict=True).parse(re.sub(r"[A-Za-z0-9+/]{200,}=*", "", text))  # without what takes its time
-    found = seen(text)
+    found = Seen()
+    found.feed(text)
     assert [address for address in found.loaded if not address.startswith(("#", "data:image/svg+xml;base64,"))] == []
     style = "".join(re.findall(r"<style>(.*?)</style>", text, re.DOTALL))
     assert "@page" not in style and "url(" not in style and "@import" not in style

@@ -14,7 +14,6 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.residuals.sums import residual_sums
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, measured_again, simulate
 
 from .. import plates
@@ -23,23 +22,15 @@ from .. import plates
 CHIPS = [30, 32, 60, 90, 120, 150, 151]
 
 
-def chipped(seed: int, rows: list[int]) -> Session:
-    """Probed once, with chips at some rows."""
-    plan = PRESETS["probing_cross"]
-    session = simulate(SimulationSpec(plan=plan, seed=seed)).session
-    readings = session.readings.select(session.readings.repeat == session.readings.repeat.min())
-    change = np.zeros(len(readings))
-    change[rows] = 2e-5 * (1.0 + np.random.default_rng(seed).uniform(size=len(rows)))
-    return session.with_readings(replace(readings, displacement=readings.displacement + change))
-
-
 @pytest.mark.long
 def test_sound_neighbours_of_a_chip_are_put_back() -> None:
     """Several readings of the same point pull its place towards the chip, and seem wrong themselves."""
     wrong = blamed = 0
     for seed in range(4, 12):
-        session = chipped(seed, CHIPS)
-        chips = {int(session.readings.row[k]) for k in CHIPS}
+        session = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=seed)).session
+        readings = session.readings.select(session.readings.repeat == session.readings.repeat.min())
+        readings.displacement[CHIPS] += 2e-5 * (1.0 + np.random.default_rng(seed).uniform(size=len(CHIPS)))
+        session, chips = session.with_readings(readings), {int(readings.row[k]) for k in CHIPS}
         found = find_outliers(session, lambda part: build_model(part)[0])
         kept = without(session, found)
         rows = {o.row for o in found}

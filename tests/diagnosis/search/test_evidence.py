@@ -33,18 +33,12 @@ def marginals(gram: Gram) -> Marginal:
     return marginal_at(gram, ratios, logs)
 
 
-def scales_of(signal: float) -> np.ndarray:
-    """1, 1/5, ... as long as there is a signal to be seen."""
-    out = [1.0]
-    while signal * out[-1] / priors.SCALE_STEP >= priors.SMALLEST_SIGNAL:
-        out.append(out[-1] / priors.SCALE_STEP)
-    return np.array(out)
-
-
 def explicit(readings: np.ndarray, wide: np.ndarray, unit: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
     """Logarithms of the evidence with columns and without, by explicit covariance matrices."""
     signal = float(np.linalg.svd(wide * unit, compute_uv=False)[0])
-    scales = scales_of(signal)
+    scales = [1.0]  # 1, 1/5, ... as long as there is a signal to be seen
+    while signal * scales[-1] / priors.SCALE_STEP >= priors.SMALLEST_SIGNAL:
+        scales.append(scales[-1] / priors.SCALE_STEP)
     with_it, without = [], []
     for ratio, prior, _ in size_grid(gram_of(wide, spread, readings)):
         base = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0)
