@@ -36,6 +36,8 @@ from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulat
 from machine_tool_calibration.simulation.spec import FlawSpec
 from machine_tool_calibration.trends.statement import sizes_of
 
+from ..plates import with_columns
+
 ROOT = Path(__file__).parents[2]
 RADIUS, SIGMA, FEED, REACH = 0.15, 2e-7, 0.02, 0.01
 CENTRE = np.array([0.25, 0.2, 0.3])
@@ -81,13 +83,6 @@ class Circles:
         return session
 
 
-def lost(circles: Circles, axis: int, share: Array | float = 1.0) -> Array:
-    """(n, 3) an axis behind its command, against the way it goes."""
-    error = np.zeros((len(circles.angle), 3))
-    error[:, axis] = -circles.moved[:, axis] * share
-    return error
-
-
 def since_reversal(circles: Circles, axis: int) -> Array:
     """(n,) path along the circle since the axis turned, found by going back in small steps, m."""
     out = np.full(len(circles.angle), np.inf)
@@ -102,7 +97,8 @@ def since_reversal(circles: Circles, axis: int) -> Array:
 def test_an_effect_of_the_path_is_what_it_moves_in_exact_geometry(name: str) -> None:
     circles, size = Circles("XY", "YZ", "ZX"), 1e-7
     late = -FEED * circles.way * (0.0, 1.0, 0.0)
-    held_back = lost(circles, 2, np.exp(-since_reversal(circles, 2) / REACH))
+    held_back = np.zeros_like(circles.moved)  # against the way that the axis goes
+    held_back[:, 2] = -circles.moved[:, 2] * np.exp(-since_reversal(circles, 2) / REACH)
     (effect,) = find_effects([name])
     columns = effect.columns(build_model(circles.session())[0].observations, (REACH,) * len(effect.shapes))
     exact = circles.length(size * (late if effect.id.startswith("servo") else held_back)) / size
@@ -229,10 +225,7 @@ def test_an_angle_of_one_lever_arm_is_the_straightness_there() -> None:
     }
     # A second circle at another height has another lever arm.
     heights = np.where(np.arange(len(low.readings)) % 2, 0.0, 0.1)
-    high = low.with_readings(
-        replace(low.readings, columns={**low.readings.columns, "z": low.readings.columns["z"] + heights})
-    )
-    assert reasons(high)["EAX"] is None
+    assert reasons(with_columns(low, z=low.readings.columns["z"] + heights))["EAX"] is None
 
 
 @pytest.mark.long
@@ -274,8 +267,7 @@ def test_readings_that_a_filter_has_smoothed_have_no_other_cause(hidden: tuple[s
     session = simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=8, noise_factor=0.0, effects=flaws)).session
     noise = SIGMA * np.random.default_rng(8).normal(size=len(session.readings))
     smoothed = np.convolve(noise, np.ones(15) / np.sqrt(15.0), "same")
-    changed = replace(session.readings, displacement=session.readings.displacement + smoothed)
-    found = diagnose(session.with_readings(changed))
+    found = diagnose(with_columns(session, session.readings.displacement + smoothed))
     assert found.accepted == hidden
     assert found.search.memory > 10.0
 

@@ -18,6 +18,8 @@ from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, simulate
 
+from ..plates import with_columns
+
 Damage = Callable[[Session], Session]
 
 
@@ -37,7 +39,7 @@ def columns(**change: Callable[[np.ndarray], np.ndarray]) -> Damage:
 
 
 def displacement(factor: float) -> Damage:
-    return lambda s: s.with_readings(replace(s.readings, displacement=factor * s.readings.displacement))
+    return lambda s: with_columns(s, factor * s.readings.displacement)
 
 
 def described(session: Session, **change: Any) -> Session:
@@ -115,24 +117,18 @@ def moved(axis: int, by: float) -> Callable[[Any], Any]:
     return lambda place: tuple(v + by * (j == axis) for j, v in enumerate(place))
 
 
-def slipped(rows: int) -> Damage:
-    return lambda s: s.with_readings(replace(s.readings, displacement=np.roll(s.readings.displacement, rows)))
-
-
 def beam_for_reading(session: Session) -> Session:
-    azimuth = session.readings.columns["azimuth"]
-    exchanged = columns(azimuth=lambda v: session.readings.displacement)(session)
-    return exchanged.with_readings(replace(exchanged.readings, displacement=azimuth))
+    return with_columns(session, session.readings.columns["azimuth"], azimuth=session.readings.displacement)
 
 
 def fahrenheit(session: Session) -> Session:
-    hot = {n: 1.8 * v + 32.0 for n, v in session.readings.columns.items() if n.startswith("temperature_")}
-    return session.with_readings(replace(session.readings, columns={**session.readings.columns, **hot}))
+    sensed = {n: v for n, v in session.readings.columns.items() if n.startswith("temperature_")}
+    return with_columns(session, **{name: 1.8 * values + 32.0 for name, values in sensed.items()})
 
 
 def recorded_at_declared_angle(session: Session) -> Session:
     declared = np.array([setup.c for setup in session.description.setups])
-    return columns(c=lambda _: declared[session.readings.setup])(session)
+    return with_columns(session, c=declared[session.readings.setup])
 
 
 MILLI, DEGREES = (lambda v: 1e3 * v), np.degrees
@@ -160,7 +156,10 @@ def swaps(count: int, *keys: str) -> dict[str, tuple[Damage, str]]:
 
 # One wrong sign, a wrong start, a wrong column: what contradicts what, and what is likelier meant.
 SLIPPED: dict[str, tuple[Damage, str]] = {
-    "readings two rows late": (slipped(2), "displacement looks shifted by 2 rows down"),
+    "readings two rows late": (
+        lambda s: with_columns(s, np.roll(s.readings.displacement, 2)),
+        "displacement looks shifted by 2 rows down",
+    ),
     "degrees Fahrenheit": (fahrenheit, "these look like degrees Fahrenheit"),
 }
 SIGNED: dict[str, tuple[Damage, str]] = {

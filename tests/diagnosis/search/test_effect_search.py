@@ -33,6 +33,8 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import say
 
+from ...plates import with_columns
+
 EFFECTS = ("backlash_x", "backlash_y", "pointer_radial_error", "retroreflector_form", "pointer_zero_offset")
 
 
@@ -103,11 +105,8 @@ def test_of_a_structure_what_an_effect_does_is_that_effect() -> None:
 def test_a_structure_of_its_own_is_told_and_no_effect_is() -> None:
     rng = np.random.default_rng(3)
     own = rng.normal(size=(1, len(session(None).readings)))
-    readings = session(None).readings
-    moved = session(None).with_readings(
-        replace(readings, displacement=readings.displacement + 1.0 * session(None).sigma * own[0])
-    )
-    look = looked(moved, [("temper", own)])
+    moved = session(None).readings.displacement + session(None).sigma * own[0]
+    look = looked(with_columns(session(None), moved), [("temper", own)])
     assert look.unknown > 0.99
     assert look.structure[0].covariate == "temper" and look.structure[0].shape == "smooth"
     assert 0.2 < look.structure[0].share < 0.8

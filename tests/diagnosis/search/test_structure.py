@@ -40,8 +40,7 @@ def plan(name: str, seed: int = 5) -> Session:
 
 
 def with_change(session: Session, change: np.ndarray) -> Session:
-    readings = session.readings
-    return session.with_readings(replace(readings, displacement=readings.displacement + change))
+    return plates.with_columns(session, session.readings.displacement + change)
 
 
 def test_frequencies_of_waves_come_out_strongest_first() -> None:
@@ -320,8 +319,7 @@ def test_a_reversal_of_the_table_that_differs_from_angle_to_angle_is_named() -> 
     session = plan("rotary_axis")
     seen = build_model(session)[0].observations
     turned = -2e-5 * np.sin(2.0 * session.readings.columns["c"]) * catalogue()["backlash_c"].columns(seen)[0]
-    changed = replace(session.readings, displacement=session.readings.displacement - turned)
-    found = diagnose(session.with_readings(changed))
+    found = diagnose(with_change(session, -turned))
     assert found.verdict == "unexplained"
     assert found.left[0].covariate == "dir_c and c"
 
@@ -332,8 +330,7 @@ def test_a_reversal_that_grows_with_the_time_is_named() -> None:
     seen = build_model(session)[0].observations
     grown = session.readings.columns["time"] / np.ptp(session.readings.columns["time"])
     moved = 8e-6 * grown * catalogue()["backlash_y"].columns(seen)[0]
-    changed = replace(session.readings, displacement=session.readings.displacement + moved)
-    found = diagnose(session.with_readings(changed))
+    found = diagnose(with_change(session, moved))
     assert found.accepted == ("backlash_y",)
     assert found.left[0].covariate == "dir_y and time"
 
@@ -343,12 +340,8 @@ def test_a_beam_that_bends_with_a_recorded_gradient_is_named() -> None:
     session = plan("tracking_3d")
     readings, seen = session.readings, build_model(session)[0].observations
     gradient = np.sin(readings.columns["time"] / 900.0) + 0.3 * np.random.default_rng(4).standard_normal(len(readings))
-    bent = replace(
-        readings,
-        displacement=readings.displacement + 4e-6 * gradient * seen.path**2,
-        columns=readings.columns | {"gradient": gradient},
-    )
-    found = diagnose(session.with_readings(bent))
+    bent = readings.displacement + 4e-6 * gradient * seen.path**2
+    found = diagnose(plates.with_columns(session, bent, gradient=gradient))
     assert found.verdict == "unexplained"
     assert found.left[0].covariate == "gradient and path"
     assert _without_cause(found) > 0.9 * (found.fits[0].solution.chi_square - found.fits[0].solution.degrees_of_freedom)
