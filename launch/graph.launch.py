@@ -21,6 +21,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.graph import graph_parameters, managed_nodes, refuse_unknown, switches
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.recording.writer import make_folder
 from machine_tool_calibration.session.text import yaml_text
 from machine_tool_calibration.simulation.site import read_site
 
@@ -77,6 +78,8 @@ def nodes(context):
         for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))
         if not is_true[key]
     }
+    if given["bag"] and is_true["record"]:
+        make_folder(Path(given["bag"]))  # rather than measure without a recording
     chosen = {name: values for name, values in parameters.items() if name not in left_out}
     said = []
     if is_true["use_sim_time"] and not is_true["axes"]:

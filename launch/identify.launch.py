@@ -15,6 +15,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 from machine_tool_calibration.nodes.graph import managed_nodes, refuse_unknown, switches
+from machine_tool_calibration.recording.writer import make_folder
 
 CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
 ARGUMENTS = {
@@ -36,6 +37,8 @@ def nodes(context):
         "estimator": {**common, **({"model": given["model"]} if given["model"] else {})},
         "recorder": {**common, "folder": given["bag"]},
     }
+    if given["bag"]:
+        make_folder(Path(given["bag"]))
     return managed_nodes(parameters, given["namespace"], given["params_file"], autostart=is_true["autostart"])
 
 

@@ -126,6 +126,17 @@ def test_a_driver_that_is_not_there_or_lives_in_simulated_time_is_refused(launch
         started(launch("graph.launch.py"), driver=__file__)
 
 
+def test_a_recording_that_cannot_be_made_is_refused_before_anything_is_measured(launch, tmp_path):
+    (tmp_path / "file").touch()
+    for file in ("identify.launch.py", "graph.launch.py"):
+        with pytest.raises(CalibrationError, match=r"file: cannot be made: "):
+            started(launch(file), bag=str(tmp_path / "file"))
+        with pytest.raises(CalibrationError, match=r"is not empty; a recording needs a new folder$"):
+            started(launch(file), bag=str(tmp_path))
+        assert started(launch(file), bag=str(tmp_path / "new"))
+    assert started(launch("graph.launch.py"), bag=str(tmp_path), record="false")
+
+
 def test_who_has_no_axes_and_no_clock_is_told(launch):
     first, *_ = started(launch("graph.launch.py"), axes="false", namespace="cell_1/")
     assert "the nodes wait for a /cell_1/clock of yours" in first.named["msg"]

@@ -244,6 +244,22 @@ def test_what_only_a_doubtful_reading_could_tell_stays_wrong() -> None:
     assert np.isnan(kept.readings.displacement[[154, 208]]).all()
 
 
+@pytest.mark.parametrize(("first", "wrong"), [(33, 2), (16, 1), (59, 1), (74, 3), (11, 2)])
+def test_neighbours_of_wrong_readings_where_runs_have_slopes_are_kept(first: int, wrong: int) -> None:
+    """Eight runs along X, each with a slope: sound readings beside wrong ones had been as far off as these."""
+    rng, places = np.random.default_rng(first), 0.06 * np.arange(10)
+    slope = 40e-6 * rng.standard_normal(8)
+    read = np.outer(slope, places).ravel() + 0.3e-6 * rng.standard_normal(80)
+    off = 1e-4 * (1.0 + 0.5 * np.arange(wrong))
+    read[first : first + wrong] -= off
+    columns = {"x": np.tile(places, 8), "displacement": read}
+    session = plates.session(columns, 1e-6, "none", ["EXX"], np.repeat(np.arange(8), 10))
+    found = find_outliers(session, _built)
+    assert {one.row: one.deviation for one in found} == pytest.approx(
+        {first + k: -own for k, own in enumerate(off.tolist())}, abs=5e-6
+    )
+
+
 def test_two_at_the_end_of_a_run_are_no_lasting_change() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["rotary_axis_one_way"], seed=12)).session
     readings = session.readings

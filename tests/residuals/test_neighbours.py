@@ -30,10 +30,14 @@ def test_neighbours_of_a_reading_are_of_its_run_and_direction() -> None:
     course = np.where(readings.columns["gx"] > 0.5, 3.0 + 0.1 * number, -5.0) + 20.0 * readings.repeat
     own = Neighbours(readings, np.zeros((len(readings), 3)))
     every = np.arange(len(readings))
-    np.testing.assert_allclose(own.course(every, course), course, atol=1e-9)
+    np.testing.assert_allclose(own.course(course, every < 0), course, atol=1e-9)
     # A single wrong one is not what its neighbours say, and does not change what they say of others.
     wrong = course.copy()
     wrong[40] += 50.0
-    np.testing.assert_allclose(own.course(every, wrong), course, atol=0.21)
+    np.testing.assert_allclose(own.course(wrong, every < 0), course, atol=0.21)
     assert own.explained(every, course, 1.0, 3.0).all()
     assert np.flatnonzero(~own.explained(every, wrong, 1.0, 3.0)).tolist() == [40]
+    # Several in a row would be; left out one after the other they are not.
+    wrong[np.flatnonzero(own.run.group == own.run.group[40])[10:14]] += 50.0
+    assert np.abs(own.course(wrong, every < 0) - course).max() > 10.0
+    np.testing.assert_allclose(own.course_of_the_others(wrong, 3.0, every < 0), course, atol=0.3)

@@ -150,9 +150,9 @@ MISFIT = 1.1
 COURSE = 0.7
 """Scatter about the courses of the runs over the whole one, below which they are a pattern and no noise."""
 
-NEIGHBOURS, AGREEING, QUIET = 4, 3, 2.0
-"""Neighbours on each side of a reading in its run, how many of them must deviate, as one wrong one makes no course, and
-residuals within which they do not."""
+NEIGHBOURS, AGREEING, QUIET, LEFT_OUT = 4, 3, 2.0, 8
+"""Neighbours on each side of a reading in its run, how many of them must deviate, as one wrong one makes no course,
+residuals within which they do not, and how many of a run are left out of its course at most, one after the other."""
 
 CURVED = 0.1
 """Share of a course within which it predicts a reading: curvature of a transient that decays within three readings."""

@@ -59,6 +59,16 @@ class _File:
         os.close(self._handle)
 
 
+def make_folder(folder: Path) -> None:
+    """Make a recording's folder; a RecordingError if it cannot be made, or is there and not empty."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise RecordingError(f"{folder}: is not empty; a recording needs a new folder")
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
+
+
 class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes serialized messages; a kill costs at most what came since the last chunk.
 
@@ -96,12 +106,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._mcap: Writer | None = None  # None as well while a file that was ended waits for room
         self._kept: tuple[int, dict[str, int]] = (0, {})  # messages of the file that are flushed, by topic
         self._closed = False
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if any(self.folder.iterdir()):
-                raise RecordingError(f"{self.folder}: is not empty; a recording needs a new folder")
-        except OSError as error:
-            raise RecordingError(f"{self.folder}: cannot be made: {error.strerror}") from None
+        make_folder(self.folder)
         self._writer()
         self.flush()
 

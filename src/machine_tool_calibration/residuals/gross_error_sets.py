@@ -210,6 +210,19 @@ def _compared(sets: BoolArray, evidence: Array, more: float) -> tuple[IntArray, 
     return np.flatnonzero(best), np.flatnonzero((others != best).any(axis=0))
 
 
+def is_crowded(at: IntArray) -> BoolArray:
+    """(k,) which of readings, by their numbers in a row, are so many in a stretch that these are not single.
+
+    There an instrument begins to fail, or something moves. Where most of a stretch are wrong a beam was broken.
+    """
+    out, order = np.zeros(len(at), dtype=bool), np.argsort(at)
+    for own in np.split(order, np.flatnonzero(np.diff(at[order]) > priors.STRETCH) + 1):
+        if len(own) >= priors.CROWD:
+            share = len(own) / (at[own[-1]] - at[own[0]] + 1)
+            out[own] = priors.CROWDED < share < priors.BROKEN
+    return out
+
+
 def groups_of_points(part: Part) -> list[IntArray]:
     """The readings of each point, of which all others say next to nothing; none where the part has no points."""
     if not part.dimension:

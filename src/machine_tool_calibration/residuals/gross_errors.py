@@ -46,6 +46,7 @@ from machine_tool_calibration.residuals.gross_error_sets import (
     compared_sets,
     groups_of_points,
     groups_of_unknowns,
+    is_crowded,
     predicted_by_others,
 )
 from machine_tool_calibration.residuals.leverage import hat_values, prediction_jacobian
@@ -99,22 +100,9 @@ def find_outliers(
     read = session.readings.row[np.isfinite(session.readings.displacement)]
     if len(found) > priors.SINGLE * max(len(read), 1):
         return []
-    crowded = _crowded(np.searchsorted(np.sort(read), [o.row for o in found]))
+    crowded = is_crowded(np.searchsorted(np.sort(read), [o.row for o in found]))
     found = [o for o, more in zip(found, crowded.tolist(), strict=True) if not more]
     return sorted(found, key=lambda o: -abs(o.studentized))
-
-
-def _crowded(at: IntArray) -> BoolArray:
-    """(k,) which of readings, by their numbers in a row, are so many in a stretch that these are not single.
-
-    There an instrument begins to fail, or something moves. Where most of a stretch are wrong a beam was broken.
-    """
-    out, order = np.zeros(len(at), dtype=bool), np.argsort(at)
-    for own in np.split(order, np.flatnonzero(np.diff(at[order]) > priors.STRETCH) + 1):
-        if len(own) >= priors.CROWD:
-            share = len(own) / (at[own[-1]] - at[own[0]] + 1)
-            out[own] = priors.CROWDED < share < priors.BROKEN
-    return out
 
 
 def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = False) -> Session:
@@ -207,9 +195,11 @@ class _Search:
             return []
         asked = self._asked()
         for _ in range(ROUNDS):
-            held = self._judged(asked, self._fit(asked))
+            # Where all of a place were held out, nothing would tell which of them is wrong.
+            open_ = asked[~self.right[asked]]
+            held = self._judged(open_, self._fit(open_))
             fit = self._fit(held)
-            held, alike = self._agreed(asked, held, fit)
+            held, alike = self._agreed(open_, held, fit)
             fit = self._fit(held)
             if (together := self._together(held, fit)).any():
                 self.explained[held[together]] = True
@@ -264,7 +254,8 @@ class _Search:
             off, self.sigma, self.part = off / own, self.sigma * own, Reweighted(self.part, own**-2.0)
         noise = bulk_of(np.abs(off), spare * self.n, self.rounding)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
-        beside = bulk_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some), self.rounding)
+        none = np.zeros(self.n, dtype=bool)
+        beside = bulk_of(np.abs(off[some] - neighbours.course(off, none, some)), spare * len(some), self.rounding)
         self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
         of_a_machine = np.abs(off) * self.sigma < _COURSE
@@ -272,7 +263,7 @@ class _Search:
         self.right = neighbours.displaced(every, off, noise.scale, noise.limit) & of_a_machine
         self.explained |= self.right
         if self.pattern:
-            course = neighbours.course(every, off)
+            course = neighbours.course_of_the_others(off, priors.SUSPECTED * noise.scale, self.explained)
             self.part, off = ShiftedPart(self.part, -course * np.sqrt(spare)), off - course
         size = np.abs(off)
         suspected = np.flatnonzero(size > priors.SUSPECTED * max(noise.scale, 0.5))

@@ -47,14 +47,37 @@ class Neighbours:
         )
         self.elsewhere = _Ordered(place)
 
-    def course(self, which: IntArray, residual: Array) -> Array:
-        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few."""
-        along, values = self.run.near(which, residual)
+    def course(self, residual: Array, without: BoolArray, which: IntArray | None = None) -> Array:
+        """(k,) what the neighbours in time on both sides say of readings, of all if none are asked for.
+
+        Those `without` which it is to be, (n,), say nothing, and the next ones do; 0 where there are too few.
+        """
+        which = np.arange(len(residual)) if which is None else which
+        along, values = self.run.near_others(which, residual, without)
         line, level = _line(along, values), _median(values, priors.AGREEING)
         # At the ends of a run a wrong neighbour turns the line: what is nearer.
         few = np.isfinite(values).sum(axis=1) < priors.NEIGHBOURS + 2
         other = few & ~(np.abs(residual[which] - line) < np.abs(residual[which] - level))
         return np.nan_to_num(np.where(other, level, line))
+
+    def course_of_the_others(self, residual: Array, limit: float, explained: BoolArray) -> Array:
+        """(n,) the course of the runs by readings that are within a limit of it or `explained`: others lead to them.
+
+        The worst of each run is left out first, as sound ones beside it seem to be as wrong.
+        """
+        run, out = self.run.group, np.zeros(len(residual), dtype=bool)
+        course = self.course(residual, out)
+        for _ in range(priors.LEFT_OUT):
+            size = np.abs(residual - course) * ~(explained | out)
+            worst = np.lexsort((size, run))
+            worst = worst[np.append(np.diff(run[worst]) != 0, True)]
+            worst = worst[size[worst] > limit]
+            if not len(worst):
+                break
+            out[worst] = True
+            again = np.flatnonzero(np.isin(run, run[worst]))
+            course[again] = self.course(residual, out, again)
+        return course
 
     def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
         """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it."""
@@ -215,12 +238,29 @@ class _Ordered:
 
     def near(self, which: IntArray, residual: Array, most: int = priors.NEIGHBOURS) -> tuple[Array, Array]:
         """(m,) steps to the next readings of the group before and after, and (k, m) their residuals, NaN where none."""
-        along = np.setdiff1d(np.arange(-most, most + 1), 0)
+        along = _steps(most)
         near = self.position[which][:, None] + along
         inside = (near >= 0) & (near < len(self.order))
         near = self.order[np.clip(near, 0, len(self.order) - 1)]
         inside &= self.group[near] == self.group[which][:, None]
         return along.astype(float), np.where(inside, residual[near], np.nan)
+
+    def near_others(self, which: IntArray, residual: Array, without: BoolArray) -> tuple[Array, Array]:
+        """(k, m) steps to the next readings of the group that are not left out, and their residuals, NaN where none."""
+        others = self.order[~without[self.order]]
+        after = np.searchsorted(self.position[others], self.position[which], side="right")
+        before = after - ~without[which]  # a reading is not its own neighbour
+        along = _steps(priors.NEIGHBOURS)
+        near = np.where(along < 0, before[:, None] + along, after[:, None] + along - 1)
+        inside = (near >= 0) & (near < len(others))
+        near = others[np.clip(near, 0, len(others) - 1)] if len(others) else np.zeros_like(near)
+        inside &= self.group[near] == self.group[which][:, None]
+        steps = (self.position[near] - self.position[which][:, None]).astype(float)
+        return np.where(inside, steps, along), np.where(inside, residual[near], np.nan)
+
+
+def _steps(most: int) -> IntArray:
+    return np.setdiff1d(np.arange(-most, most + 1), 0)
 
 
 def _median(values: Array, fewest: int) -> Array:
@@ -233,6 +273,6 @@ def _median(values: Array, fewest: int) -> Array:
 
 def _line(along: Array, values: Array) -> Array:
     """Value at 0 of the line by medians of slopes and heights (Theil 1950; Sen 1968); NaN of fewer than four values."""
-    one, other = np.triu_indices(len(along), 1)
-    slope = _median((values[:, other] - values[:, one]) / (along[other] - along[one]), 6)
+    one, other = np.triu_indices(along.shape[-1], 1)
+    slope = _median((values[:, other] - values[:, one]) / (along[..., other] - along[..., one]), 6)
     return _median(values - slope[:, None] * along, 4)
