@@ -105,8 +105,8 @@ def test_a_file_counts_before_the_session_and_a_later_before_an_earlier(tmp_path
     ("text", "message"),
     [
         ("{numbre: 1}", "unknown key 'certificate.numbre' (did you mean 'number'?)"),
-        ("{issued: 1 March}", "line 2: certificate.issued: "),
-        ("{measured: [2026-03-01, soon]}", "certificate.measured[1]: "),
+        ("{issued: 1 March}", "line 2: certificate.issued must be a date, such as 2026-05-04, not '1 March'"),
+        ("{measured: [2026-03-01, soon]}", "certificate.measured[1] must be a date, such as 2026-05-04, not 'soon'"),
         ("{customer: {country: Germany}}", "certificate.customer.country: "),
         ("{location: moon}", "certificate.location is 'moon'"),
         ("{decision_rule: {rule: garded}}", "no decision rule 'garded' (did you mean 'guarded'?)"),

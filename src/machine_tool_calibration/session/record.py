@@ -86,6 +86,8 @@ def _words(defect: dict[str, Any], record: type[BaseModel]) -> str:
         return f"{key} must be a list, not {kind_of(value)}"
     if kind in ("model_type", "dict_type", "model_attributes_type"):
         return f"{key} must be a mapping of keys, not {kind_of(value)}"
+    if kind.startswith("date"):
+        return f"{key} must be a date, such as 2026-05-04, not {shown(value)}"
     if kind == "string_type":
         return f"{key} must be text, not {shown(value)}"
     if kind in _BOUNDS:
