@@ -112,6 +112,7 @@ def test_an_unfinished_recording_names_the_way_out(verb: Verb, session_bag: Path
     assert document["messages"] == 217
     assert document["bag"] == f"{session_bag}_recovered"
     assert "216 readings" in verb("info", document["bag"]).out
+    assert verb.refused("recover", session_bag).endswith("_recovered: is there already; -o names another folder\n")
     assert "217 messages of 2 topics" in verb("recover", session_bag, "-o", f"{session_bag}_2").out
 
 

@@ -51,4 +51,7 @@ def _beside(bag: Path) -> Path:
     named = bag if bag.name not in ("", "..") else Path(os.path.realpath(bag))  # `.` has no name of its own
     if not named.name:
         raise CalibrationError(f"{bag}: has no name from which that of the new bag could be made; -o says it")
-    return named.with_name(f"{named.stem if named.suffix == '.mcap' else named.name}_recovered")
+    beside = named.with_name(f"{named.stem if named.suffix == '.mcap' else named.name}_recovered")
+    if beside.is_dir() and any(beside.iterdir()):
+        raise CalibrationError(f"{beside}: is there already; -o names another folder")
+    return beside
