@@ -11,6 +11,7 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.recorded import recorded_effect, recorded_effects
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.session import Session
@@ -99,6 +100,20 @@ def test_a_column_with_a_name_like_a_delay_is_told_from_one_that_is_followed_lat
         assert (type(again), again and again.needs) == (type(effect), effect.needs)
     assert [e.id for e in every if e.needs == ("x", "late_foo")] == ["follows_now_late_foo_x"]
     assert recorded_effect("follows_now_foo_x") is None
+
+
+@pytest.mark.parametrize(("each", "left_out"), [(1, True), (11, True), (0, False)])
+def test_a_number_of_the_part_or_the_reading_is_no_cause(each: int, left_out: bool) -> None:
+    """Though whatever drifts goes with it; a temperature in whole degrees rises now sooner, now later."""
+    number = np.arange(len(TIME)) // each if each else np.round(20.0 + 15.0 * (1.0 - np.exp(-TIME / 600.0)))
+    session = axis(1e-9 * TIME)
+    numbered = session.with_readings(
+        replace(session.readings, columns={**session.readings.columns, "sample": number.astype(float)})
+    )
+    (observations,) = (model.observations for model in build_model(numbered)[:1])
+    for when in ("", "late_"):
+        why = recorded_effect(f"follows_{when}sample_x").why_not(observations)
+        assert why == ("the column sample numbers the readings" if left_out else None)
 
 
 def test_a_column_that_is_not_there_is_named() -> None:

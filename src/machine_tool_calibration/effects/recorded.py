@@ -19,6 +19,8 @@ from machine_tool_calibration.words import say
 # Columns that have effects: a control's whole log has hundreds, of which any hundred go with what was measured.
 _MOST_COLUMNS = 12
 _LINEAR = "xyz"
+# Steps by one after every so many readings, from which a column is a number of the part or of the reading.
+_COUNTS = 10
 _TEMPERATURE, _AIR = "temperature_", "temperature_air"
 # Before a column that begins like this, `now_` tells what follows it at once from what follows another late.
 _LATE, _NOW = "late_", "now_"
@@ -54,6 +56,15 @@ class Follows(ThermalExpansion):
     def _names(self) -> dict[str, str]:
         now = _NOW if self.column.startswith((_LATE, _NOW)) else ""
         return super()._names | {"column": self.column, "now": now}
+
+    def why_not(self, observations: Observations) -> str | None:
+        """Nor where the column counts the readings: a number of the order is no cause."""
+        if (why := super().why_not(observations)) is not None:
+            return why
+        values = observations.readings.column(self.column)
+        steps = np.flatnonzero(np.diff(values))
+        counts = len(steps) >= _COUNTS and (np.diff(values)[steps] == 1.0).all() and np.ptp(np.diff(steps)) == 0
+        return f"the column {self.column} numbers the readings" if counts else None
 
     def excess(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the column over its reference."""
