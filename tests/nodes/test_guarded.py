@@ -80,7 +80,9 @@ def shown(node):
 
 
 def reading(index, time=None, displacement=0.0, **more):
-    columns = {"time": float(index if time is None else time), "setup_index": 0.0, "displacement": displacement, **more}
+    place = dict.fromkeys(("repeat", "x", "y", "z", "azimuth"), 0.0)
+    columns = {"time": float(index if time is None else time), "setup_index": 0.0, "displacement": displacement}
+    columns |= place | more
     message = JointState(name=list(columns), position=list(columns.values()))
     message.header.stamp = to_message(START + round(index * 1e9))
     return message

@@ -230,7 +230,7 @@ def test_a_message_that_can_be_no_reading_of_the_session_changes_nothing(columns
     description = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=1)).session.description
     description = description.model_copy(update={"setups": description.setups[:3]})
     received = Received()
-    received.add(1, message(math.nan, 0.0), description)
+    received.add(1, message(math.nan, 0.0))
     with pytest.raises(SessionError, match=f"^{re.escape(why)}$"):
         received.add(2, Reading(tuple(columns), tuple(columns.values())), description)
     assert len(received) == 1 and received.missing == 0
@@ -240,13 +240,18 @@ def test_a_message_that_can_be_no_reading_of_the_session_changes_nothing(columns
     ("tracking_2d", ("setup_index", "displacement"), (math.nan, 1e-6), "setup_index is nan"),
     ("rotary_axis", ("setup_index", "target_index", "displacement"), (0.0, math.nan, 1e-6), "target_index is nan"),
     ("tracking_2d", ("setup_index", "displacement", "x", "x"), (0.0, 1e-6, 0.1, 0.2), "a name stands twice"),
+    ("tracking_2d", ("setup_index", "displacement", "y", "repeat"), (0.0, 1e-6, 0.1, 0.0), "x is missing where a displacement"),
+    ("tracking_2d", ("setup_index", "displacement", "x", "y", "repeat"), (0.0, 1e-6, 0.1, math.nan, 0.0), "y is"),
+    ("tracking_2d", ("setup_index", "displacement", "dir_x"), (0.0, math.nan, 7.0), r"dir_x is 7, not \+1 or -1"),
 ])  # fmt: skip
-def test_a_message_without_its_place_or_with_a_name_twice_spoils_no_readings(
+def test_a_message_that_lacks_its_place_or_has_a_name_twice_spoils_no_readings(
     preset: str, names: tuple[str, ...], values: tuple[float, ...], why: str
 ) -> None:
     description = simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session.description
     received = Received()
-    received.add(1, Reading(("setup_index", "displacement"), (0.0, 1e-6)), description)
+    received.add(1, Reading(("setup_index", "displacement"), (0.0, 1e-6)))
     with pytest.raises(SessionError, match=f"^{why}"):
         received.add(2, Reading(names, values), description)
-    assert len(received) == 1
+    # A lost one has no place, where the instrument saw nothing.
+    received.add(3, Reading(("setup_index", "target_index", "displacement"), (0.0, 0.0, math.nan)), description)
+    assert len(received) == 2

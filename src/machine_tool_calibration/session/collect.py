@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.catalogue import require_columns
+from machine_tool_calibration.session.catalogue import method_spec, require_columns
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.parse import parse_description
@@ -129,7 +129,10 @@ def fault_of(names: Sequence[str], values: Sequence[float] | Array) -> str:
 
 
 def _require_reading(columns: Mapping[str, float], description: Description | None) -> None:
-    """Refuse (SessionError) a reading of a place that the description, if it is known, has not: it would spoil all."""
+    """Refuse (SessionError) a reading that would spoil all others, as none of the session that is described can be so.
+
+    It is of a place that the description, if that is known, has not, or lacks what the method needs.
+    """
     repeat = columns.get("repeat", 0.0)
     if not (0 <= repeat < _MOST_READINGS and repeat == int(repeat)):
         raise SessionError(f"repeat is {repeat:g}")
@@ -143,6 +146,14 @@ def _require_reading(columns: Mapping[str, float], description: Description | No
             raise SessionError(f"{name} is {index:g}")
         if entries is not None and index >= len(entries):
             raise SessionError(f"{name} is {index:g}, not 0 to {len(entries) - 1}")
+    if description is not None and math.isfinite(columns["displacement"]):
+        labels = {label for label, _ in INDEX_COLUMNS.values()}
+        for name in method_spec(description.method).columns(description):
+            if name not in labels and not math.isfinite(columns.get(name, math.nan)):
+                raise SessionError(f"{name} is missing where a displacement was read")
+    for name, value in columns.items():
+        if name.startswith("dir_") and value not in (-1.0, 0.0, 1.0) and not math.isnan(value):
+            raise SessionError(f"{name} is {value:g}, not +1 or -1")
 
 
 class Received:
