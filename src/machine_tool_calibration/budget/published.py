@@ -36,9 +36,8 @@ CIRCULAR_FIGURES = ("G_ccw", "G_cw", "G_b", "H", "F_max_ccw", "F_max_cw", "F_min
 SIGNED = ("B_mean", "F_max_ccw", "F_max_cw", "F_min_ccw", "F_min_cw", "D")
 """Figures of which a tolerance is for the absolute value."""
 
-_FIGURE = re.compile(
-    rf"(?:({'|'.join(FIGURES)})_[XYZ]|({'|'.join(DIAGONAL_FIGURES)})_[PN0]{{3}}|({'|'.join(CIRCULAR_FIGURES)}))(?:\..*)?"
-)
+_OF_AXIS, _OF_DIAGONAL, _OF_CIRCLE = ("|".join(names) for names in (FIGURES, DIAGONAL_FIGURES, CIRCULAR_FIGURES))
+_FIGURE = re.compile(rf"(?:({_OF_AXIS})_[XYZ]|({_OF_DIAGONAL})_[PN0]{{3}}|({_OF_CIRCLE}))(?:\..*)?")
 _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 
 
