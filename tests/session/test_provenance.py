@@ -240,7 +240,7 @@ def test_a_message_that_can_be_no_reading_of_the_session_changes_nothing(columns
     ("tracking_2d", ("setup_index", "displacement"), (math.nan, 1e-6), "setup_index is nan"),
     ("rotary_axis", ("setup_index", "target_index", "displacement"), (0.0, math.nan, 1e-6), "target_index is nan"),
     ("tracking_2d", ("setup_index", "displacement", "x", "x"), (0.0, 1e-6, 0.1, 0.2), "a name stands twice"),
-    ("tracking_2d", ("setup_index", "displacement", "y", "repeat"), (0.0, 1e-6, 0.1, 0.0), "x is missing where a displacement"),
+    ("tracking_2d", ("setup_index", "displacement", "y", "repeat"), (0.0, 1e-6, 0.1, 0.0), "x is missing"),
     ("tracking_2d", ("setup_index", "displacement", "x", "y", "repeat"), (0.0, 1e-6, 0.1, math.nan, 0.0), "y is"),
     ("tracking_2d", ("setup_index", "displacement", "dir_x"), (0.0, math.nan, 7.0), r"dir_x is 7, not \+1 or -1"),
 ])  # fmt: skip
