@@ -260,6 +260,20 @@ def test_neighbours_of_wrong_readings_where_runs_have_slopes_are_kept(first: int
     )
 
 
+@pytest.mark.parametrize("name", ["tracking_2d", "probing_cross", "step_diagonal"])
+@pytest.mark.parametrize("first", [0, -4])
+def test_several_wrong_at_the_end_of_a_run_are_found(name: str, first: int) -> None:
+    """Four at its beginning or end, beyond which nothing is quiet, had been a course of the run."""
+    session = simulate(SimulationSpec(plan=PRESETS[name], seed=7)).session
+    readings = session.readings
+    run = np.flatnonzero((readings.setup == 1) & (readings.repeat == 0))
+    wrong = run[first:][:4]
+    change = np.zeros(len(readings))
+    change[wrong] = -30.0 * session.sigma * (1.0 + 0.1 * np.arange(4))
+    changed = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    assert {o.row for o in find_outliers(changed, _built)} == set(readings.row[wrong].tolist())
+
+
 def test_two_at_the_end_of_a_run_are_no_lasting_change() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["rotary_axis_one_way"], seed=12)).session
     readings = session.readings

@@ -267,7 +267,8 @@ def _average_over_sizes(solved: Solved, problem: Problem, wider: Widened) -> _Ma
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), known.weights, scatter)
         estimator, random = covariance, found_random[0]
-    sizes = _sizes(solved, known.found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
+    unit = _units(known, plain, solved.reads_machine)
+    sizes = _sizes(solved, known.found, unit, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
     instead = np.zeros((m + u, m + u))
     if solved.alternatives is not None:
         by = np.eye(m + u)[:, m:][:, alternative] - estimator @ total[:-1, m:-1][:, alternative]
@@ -283,9 +284,13 @@ def _over_scatter(known: _Probable, own: IntArray, plain: float, direct: bool) -
     unless the machine itself was read again. Each coefficient is of its `own` family (u,), and readings scatter by
     `plain` beside them.
     """
+    return np.asarray((known.ratios * _units(known, plain, direct))[:, own])
+
+
+def _units(known: _Probable, plain: float, direct: bool) -> Array:
+    """(families,) what the sizes of each are in units of, over what was declared."""
     noise = known.found.noise
-    again = ~known.unrepeated[own] & direct
-    return np.asarray(known.ratios[:, own] * np.where(again, noise, plain * min(noise, 1.0)))
+    return np.where(~known.unrepeated & direct, noise, plain * min(noise, 1.0))
 
 
 def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:
@@ -428,17 +433,17 @@ def _scatter(squares: float, dof: int, again: Sequence[tuple[float, float]] = ()
 
 
 def _sizes(
-    solved: Solved, found: Components, seen: Array, place: IntArray, names: Sequence[str]
+    solved: Solved, found: Components, units: Array, seen: Array, place: IntArray, names: Sequence[str]
 ) -> tuple[FamilySize, ...]:
     """Sizes in metres, of that part of the functions which the model does not absorb."""
     sigma = np.concatenate([model.sigma for model in solved.assembly.models])
-    unit = found.noise * rms(sigma)
+    unit = rms(sigma)
     out = []
     mean_square = np.bincount(place, seen, len(names)) / len(sigma)
     # What is read off the session as a whole, and what the machine does, say nothing of how runs differ.
     for name in (name for name in dict.fromkeys(names) if name not in (DRIFT, CURVES)):
         own = [k for k, other in enumerate(names) if other == name]
-        weights = np.where(np.isin(np.arange(len(names)), own), mean_square, 0.0)
+        weights = np.where(np.isin(np.arange(len(names)), own), mean_square * units**2, 0.0)
         low, middle, high = (unit * size for size in found.quantiles(weights, (0.025, 0.5, 0.975)))
         out.append(FamilySize(name, middle, low, high, found.probability(own)))
     return tuple(out)

@@ -301,8 +301,10 @@ def _of_direct(observations: Observations, by_order: bool) -> Iterator[Family]:
             return
         yield from _rows(observations, moved)
         return
+    # Of a place that each run reads once, what runs differ by is how readings scatter.
+    in_a_run = np.bincount(groups(observations.readings.alike(), run))
     # Both passes of a run share what came over the axis before it, and a reversal shows between them.
-    run = in_order_of_appearance(run if moved else observations.run)
+    run = in_order_of_appearance(run if moved or np.median(in_a_run) >= 2 else observations.run)
     ways = in_order_of_appearance(passes_over(observations, moved[0])) if moved else run
     # Two runs there and back differ by what their passes do, and two passes by what the direction does.
     families = [("run", run, 2)] if np.array_equal(ways, run) else [("run", run, 3), ("pass", ways, 3)]

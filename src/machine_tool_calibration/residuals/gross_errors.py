@@ -58,6 +58,8 @@ from machine_tool_calibration.session.session import Session
 _COURSE = 3e-4
 # Scatter of what all others predict of a reading, over its own, from which they tell nothing of it.
 _UNTOLD = 100.0
+# Unknowns of a reading below which the model, such as a circle, is told by all readings and not by those of a place.
+_FEW_UNKNOWNS = 0.1
 
 
 @dataclass(frozen=True)
@@ -160,13 +162,14 @@ class _Search:
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
         direct = spec_of(model.observations.session).reads_machine
-        self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct)
         # (n,) way of the axes up to each reading, and the axis along which it is, where the machine's own is read.
         self.way = _way(model.observations) if direct else None
         self.along = np.abs(model.observations.direction).argmax(axis=1) if direct else None
         self.sigma = model.sigma
         self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
+        few = not self.part.dimension and self.problem.size < _FEW_UNKNOWNS * self.n
+        self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct, few_unknowns=few)
         theta, local = self.problem.zero
         self.start = theta, local[0]  # shared unknowns and points at which the readings are linearised
         self.pattern = False  # whether courses of the runs were subtracted from the readings

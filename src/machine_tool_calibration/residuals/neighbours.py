@@ -22,7 +22,9 @@ class Neighbours:
     not that of `repeated`; what was read, m, stands beside the way of the axes up to each reading, m or rad.
     """
 
-    def __init__(self, readings: Readings, direction: Array, of_machine: bool = False) -> None:
+    def __init__(
+        self, readings: Readings, direction: Array, of_machine: bool = False, few_unknowns: bool = False
+    ) -> None:
         """Readings in the order of time, and the direction (n, 3) that each senses: along x and y of a part two runs.
 
         In those `of_machine`, its own deviations, a short stretch that jumps away and back may be the machine's, and
@@ -41,6 +43,8 @@ class Neighbours:
         # (n,) readings of the setup with the same approach, along the axis of which the fewest have it
         self.approached_alike = np.min([np.bincount(one)[one] for one in alike], axis=0)
         self.of_machine = of_machine
+        # Where few unknowns are common to all readings, these tell what is wrong without many repeats.
+        self.calm_needed = 1 if few_unknowns else priors.AGREEING
         # Read again in another setup, such as a circle at another feed, which is read on the move.
         place = (
             _near_places(readings) if of_machine else groups(readings.alike(setup=False), *np.round(direction.T * 1e6))
@@ -145,15 +149,20 @@ class Neighbours:
         alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
         quiet = np.abs(values) < np.maximum(priors.BESIDE_A_BURST * np.abs(own), priors.QUIET * noise)
         length, ends, row = np.ones(len(which), dtype=np.int64), np.ones(len(which), dtype=bool), np.arange(len(which))
+        open_ = np.zeros(len(which), dtype=np.int64)
         for side in (np.flatnonzero(along < 0)[::-1], np.flatnonzero(along > 0)):
             count = np.cumprod(alike[:, side], axis=1).sum(axis=1)
-            ends &= (count < len(side)) & quiet[row, side[np.minimum(count, len(side) - 1)]]
-            length += count
+            beyond = side[np.minimum(count, len(side) - 1)]
+            over = np.isnan(values[row, beyond])  # the run begins or ends with it
+            ends &= (count < len(side)) & (quiet[row, beyond] | over)
+            length, open_ = length + count, open_ + over
+        # Of one that the run begins or ends with a side is not seen: it is less than half as long.
+        ends &= (open_ == 0) | ((open_ == 1) & (2 * length < priors.BURST))
         shared = self.approached_alike[which] > 2 * length
         if self.of_machine:
             again = np.abs(self.repeats.near(which, residual)[1])
             calm = again < np.maximum(priors.BESIDE_A_BURST * np.abs(own), priors.QUIET * noise)
-            shared &= (calm.sum(axis=1) >= priors.AGREEING) & (calm | np.isnan(again)).all(axis=1)
+            shared &= (calm.sum(axis=1) >= self.calm_needed) & (calm | np.isnan(again)).all(axis=1)
         return np.asarray(ends & (length <= priors.BURST) & shared & (np.abs(own[:, 0]) > priors.FAR_OUT * noise))
 
     def one_side(

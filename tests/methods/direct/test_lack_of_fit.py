@@ -149,3 +149,37 @@ def test_setups_that_stand_aslant_are_in_u() -> None:
         off = found.error_map.error[:, 0] - found.error_map.error[:, 0].mean()
         within.append(np.mean(np.abs(off) < 2.0 * found.error_map.uncertainty[:, 0]))
     assert np.mean(within) > 0.75
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_runs_at_one_place_that_differ_are_in_u_and_no_drift(timed: bool) -> None:
+    """Nine runs of ten readings: the mean is as uncertain as the means of runs say, U had been half of that."""
+    ratio, effects = [], []
+    for seed in range(8):
+        rng, run = np.random.default_rng(seed), np.repeat(np.arange(9), 10)
+        read = 50e-6 * rng.normal(size=9)[run] + 50e-6 * rng.normal(size=90)
+        columns = {"x": 0.0, "y": 0.0, "z": 0.0, "displacement": read} | (
+            {"time": 60.0 * np.arange(90)} if timed else {}
+        )
+        session = plates.session(columns, 50e-6, "offset", [], run, repeats=9)
+        mean = fit_sessions(FitRequest.of(session)).joint.published
+        ratio.append(np.sqrt(mean.covariance[0, 0]) / (np.std(read.reshape(9, 10).mean(axis=1), ddof=1) / 3.0))
+        effects.append(len(diagnose(session).accepted))
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.25)
+    assert not any(effects)
+
+
+def test_how_much_setups_differ_where_places_differ_from_setup_to_setup() -> None:
+    """Six setups of eight places, three times each: 10 um, 5 um and 1 um; it had been told as 2.2 um (1.2 to 5)."""
+    within = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        offset, setup, place = 10e-6 * rng.normal(size=6), np.repeat(np.arange(6), 24), np.tile(np.arange(8), 18)
+        read = offset[setup] + 5e-6 * rng.normal(size=(6, 8))[setup, place] + 1e-6 * rng.normal(size=144)
+        columns = {"x": 0.1 * place, "displacement": read}
+        each = {"setup": setup.tolist(), "repeats": 3}
+        again = np.tile(np.repeat(np.arange(3), 8), 6)
+        session = plates.session(columns, 1e-6, "none", ["EXX"], again, *"ABCDEF", **each)
+        (size,) = (one for one in fit_sessions(FitRequest.of(session)).joint.marginal.sizes if one.name == "setup")
+        within.append(size.low < np.std(offset, ddof=1) < size.high)
+    assert np.mean(within) > 0.8

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.direct.nodes import nodes_from
 from machine_tool_calibration.methods.identify import identify
@@ -367,3 +368,15 @@ def test_a_direction_between_two_axes_is_of_length_1_or_refused(
             continue
         with pytest.raises(SessionError, match=r"the direction \(gx, gy, gz\) has length 0.707107, not 1"):
             check_session(session)
+
+
+def test_a_steep_course_read_at_places_of_each_pass_has_nodes_enough() -> None:
+    """Eight passes at random places, 20 um that settle within 30 mm: EXX and a wave had been named."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        x = np.concatenate([np.sort(rng.uniform(0.0, 0.84, 29)) for _ in range(8)])
+        read = 20e-6 * (1.0 - np.exp(-x / 0.03)) + 8e-8 * rng.normal(size=len(x))
+        columns = {"x": x, "displacement": read}
+        found = diagnose(plates.session(columns, 8e-8, "none", ["EXX"], np.repeat(np.arange(8), 29), repeats=8))
+        assert "pitch_periodic_x" not in found.accepted
+        assert found.fits[0].reduced_chi_square < 2.0

@@ -15,8 +15,10 @@ from machine_tool_calibration.diagnosis.search.evidence import gram_of
 from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
+from machine_tool_calibration.machine.error_motions import interpolation
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import SAME_DIRECTION, SAME_POSITION, Observations
+from machine_tool_calibration.model.rigid_body import thinned
 from machine_tool_calibration.residuals.covariates import covariates, sensed
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -259,17 +261,24 @@ def _lines(position: Array) -> list[float]:
 
 
 def _from_place_to_place(scaled: Array, sign: Array) -> Array:
-    """(k, n) what places, read repeatedly either way, differ by in no smooth form: none where they are few or many."""
+    """(k, n) what places, read repeatedly either way, differ by in no smooth form: none where they are few.
+
+    Of many places lines between some, as neighbours have much in common.
+    """
     at, place = np.unique(np.round(scaled, 6), return_inverse=True)
     count = [np.bincount(place.reshape(-1)[sign * way > 0], minlength=len(at)) for way in (1, -1)]
     both = np.flatnonzero(np.minimum(*count) >= 2)
-    if len(both) > _MOST_PLACES:
-        return np.zeros((0, len(scaled)))
-    own = place.reshape(-1) == both[:, None]
+    if np.count_nonzero(np.minimum(*count)) > 2 * _MOST_PLACES:
+        both = np.flatnonzero(np.minimum(*count))
+    own = (place.reshape(-1) == both[:, None]).astype(np.float64)
     # What the effect explains is no structure.
     smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
-    free = np.linalg.svd(smooth)[0][:, smooth.shape[1] :]
-    return np.asarray(free.T @ own)
+    if len(both) <= _MOST_PLACES:
+        return np.asarray(np.linalg.svd(smooth)[0][:, smooth.shape[1] :].T @ own)
+    hats = interpolation(thinned(at[both], _MOST_PLACES), at[both]).T
+    basis = np.linalg.qr(smooth)[0]
+    left, size, _ = np.linalg.svd(hats - basis @ (basis.T @ hats), full_matrices=False)
+    return np.asarray((left[:, size > 1e-6 * size[0]]).T @ own)
 
 
 def _covariates(observations: Observations) -> dict[str, Array]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, IntArray, inverse_root
+from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, inverse_root
 from machine_tool_calibration.estimation.solve import LEAST_EIGENVALUE
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
@@ -87,11 +87,12 @@ def bending_tables(
     along = {k: observations.position[:, "XYZ".index(axis)] for k, axis in axes.items()}
     places = {k: distinct_nodes(x) for k, x in along.items()}
     unit = {k: tables[k].scalar(observations.position, observations.direction) for k in axes}
-    # Those that have fewer nodes than there are places, if these were read twice.
+    # Those that have fewer nodes than there are places, if halves between two nodes were read in two passes.
+    passes = {k: passes_over(observations, "XYZ".index(axes[k])) for k in axes}
     coarse = {
-        k: passes_over(observations, "XYZ".index(axes[k]))
+        k: passes[k]
         for k in axes
-        if len(tables[k].nodes) < len(places[k]) <= np.count_nonzero(unit[k]) // 2
+        if len(tables[k].nodes) < len(places[k]) and _read_twice(tables[k].nodes, along[k], passes[k], unit[k] != 0.0)
     }
     if not coarse:
         return tables
@@ -119,6 +120,13 @@ def bending_tables(
         k, node = best
         out[k] = replace(out[k], nodes=np.union1d(out[k].nodes, node))
     return tuple(out)
+
+
+def _read_twice(nodes: Array, x: Array, of_pass: IntArray, read: BoolArray) -> bool:
+    """Whether most halves between two nodes were read in several passes, at the same places or at others."""
+    half = np.searchsorted(np.sort(np.concatenate([nodes, (nodes[1:] + nodes[:-1]) / 2.0])), x)[read]
+    both = np.unique(np.stack([half, of_pass[read]]), axis=1)
+    return len(half) > 0 and bool(np.median(np.unique(both[0], return_counts=True)[1]) >= 2)
 
 
 def _further_node(
