@@ -154,6 +154,10 @@ NEIGHBOURS, AGREEING, QUIET, LEFT_OUT = 4, 3, 2.0, 8
 """Neighbours on each side of a reading in its run, how many of them must deviate, as one wrong one makes no course,
 residuals within which they do not, and how many of a run are left out of its course at most, one after the other."""
 
+FEW_UNKNOWNS = 0.1
+"""Unknowns for each reading below which the model, such as a circle, is told by all readings and not by those of a
+place: one repeat that is calm tells then that a stretch is none of the machine's."""
+
 CURVED = 0.1
 """Share of a course within which it predicts a reading: curvature of a transient that decays within three readings."""
 

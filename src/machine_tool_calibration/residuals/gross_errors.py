@@ -58,8 +58,6 @@ from machine_tool_calibration.session.session import Session
 _COURSE = 3e-4
 # Scatter of what all others predict of a reading, over its own, from which they tell nothing of it.
 _UNTOLD = 100.0
-# Unknowns of a reading below which the model, such as a circle, is told by all readings and not by those of a place.
-_FEW_UNKNOWNS = 0.1
 
 
 @dataclass(frozen=True)
@@ -168,7 +166,7 @@ class _Search:
         self.sigma = model.sigma
         self.rounding = rounding_of(self.readings.displacement) / rms(model.sigma)
         self.n = self.part.n_readings
-        few = not self.part.dimension and self.problem.size < _FEW_UNKNOWNS * self.n
+        few = not self.part.dimension and self.problem.size < priors.FEW_UNKNOWNS * self.n
         self.neighbours = Neighbours(self.readings, model.observations.direction, of_machine=direct, few_unknowns=few)
         theta, local = self.problem.zero
         self.start = theta, local[0]  # shared unknowns and points at which the readings are linearised
@@ -199,10 +197,10 @@ class _Search:
         asked = self._asked()
         for _ in range(ROUNDS):
             # Where all of a place were held out, nothing would tell which of them is wrong.
-            open_ = asked[~self.right[asked]]
-            held = self._judged(open_, self._fit(open_))
+            possible = asked[~self.right[asked]]
+            held = self._judged(possible, self._fit(possible))
             fit = self._fit(held)
-            held, alike = self._agreed(open_, held, fit)
+            held, alike = self._agreed(possible, held, fit)
             fit = self._fit(held)
             if (together := self._together(held, fit)).any():
                 self.explained[held[together]] = True

@@ -28,7 +28,7 @@ class Neighbours:
         """Readings in the order of time, and the direction (n, 3) that each senses: along x and y of a part two runs.
 
         In those `of_machine`, its own deviations, a short stretch that jumps away and back may be the machine's, and
-        places near each other are alike.
+        places near each other are alike. Where `few_unknowns` are common to all, it takes fewer repeats to tell that.
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
@@ -43,7 +43,6 @@ class Neighbours:
         # (n,) readings of the setup with the same approach, along the axis of which the fewest have it
         self.approached_alike = np.min([np.bincount(one)[one] for one in alike], axis=0)
         self.of_machine = of_machine
-        # Where few unknowns are common to all readings, these tell what is wrong without many repeats.
         self.calm_needed = 1 if few_unknowns else priors.AGREEING
         # Read again in another setup, such as a circle at another feed, which is read on the move.
         place = (
@@ -149,15 +148,15 @@ class Neighbours:
         alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
         quiet = np.abs(values) < np.maximum(priors.BESIDE_A_BURST * np.abs(own), priors.QUIET * noise)
         length, ends, row = np.ones(len(which), dtype=np.int64), np.ones(len(which), dtype=bool), np.arange(len(which))
-        open_ = np.zeros(len(which), dtype=np.int64)
+        unseen = np.zeros(len(which), dtype=np.int64)
         for side in (np.flatnonzero(along < 0)[::-1], np.flatnonzero(along > 0)):
             count = np.cumprod(alike[:, side], axis=1).sum(axis=1)
             beyond = side[np.minimum(count, len(side) - 1)]
             over = np.isnan(values[row, beyond])  # the run begins or ends with it
             ends &= (count < len(side)) & (quiet[row, beyond] | over)
-            length, open_ = length + count, open_ + over
+            length, unseen = length + count, unseen + over
         # Of one that the run begins or ends with a side is not seen: it is less than half as long.
-        ends &= (open_ == 0) | ((open_ == 1) & (2 * length < priors.BURST))
+        ends &= (unseen == 0) | ((unseen == 1) & (2 * length < priors.BURST))
         shared = self.approached_alike[which] > 2 * length
         if self.of_machine:
             again = np.abs(self.repeats.near(which, residual)[1])
