@@ -2,15 +2,20 @@
 """Positions that were read off are taken for the places about which they scatter; what was commanded stays as it is."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.recording.session_bag import session_to_bag
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.read_off import commanded
-from machine_tool_calibration.session.session import Session, assemble
+from machine_tool_calibration.session.session import Session, assemble, joined
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 PLACES = np.repeat(np.linspace(0.0, 0.4, 5), 6)
@@ -62,21 +67,38 @@ def test_other_positions_stay_as_they_are(position: np.ndarray) -> None:
 
 
 def read_off(session: Session, scatter: float) -> Session:
-    """The same measurement with positions that scatter."""
+    """The same measurement where the axes stood beside the places, as their encoders say and the instrument reads."""
     rng, readings = np.random.default_rng(3), session.readings
-    columns = dict(readings.columns) | {"repeat": readings.repeat.astype(float), "displacement": readings.displacement}
-    columns |= {axis: columns[axis] + scatter * rng.uniform(-1.0, 1.0, len(readings)) for axis in "xy"}
+    beside = scatter * rng.uniform(-1.0, 1.0, (len(readings), 2))
+    beam = build_model(session)[0].observations.direction[:, :2]
+    read = readings.displacement + np.sum(beam * beside, axis=1)
+    columns = dict(readings.columns) | {"repeat": readings.repeat.astype(float), "displacement": read}
+    columns |= {axis: columns[axis] + own for axis, own in zip("xy", beside.T, strict=True)}
     labels = {**readings.labels, "setup": np.array(session.setup_ids)[readings.setup]}
     return replace(session, readings=assemble(session.description, columns, labels, Place("s", "s")))
 
 
 def test_a_measurement_with_encoder_positions_gives_the_same_map_and_says_what_was_taken() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5)).session
-    other = read_off(session, 1e-6)
+    other = read_off(session, 5e-6)
     wanted, found = identify(session).error_map, identify(other).error_map
     assert found.error == pytest.approx(wanted.error, abs=1e-9, nan_ok=True)
     assert found.uncertainty == pytest.approx(wanted.uncertainty, rel=1e-6, nan_ok=True)
     assert suspicions([session]) == []
     assert [words.split()[2] for words in suspicions([other])] == ["x", "y"]
-    assert all(0.5e-6 < most < 2e-6 for most in other.readings.off_place.values())
-    assert other.readings.select(np.arange(3)).off_place == other.readings.off_place
+    assert all(2.5e-6 < np.abs(off).max() < 1e-5 for off in other.readings.off_place.values())
+    some = other.readings.select(np.arange(3))
+    np.testing.assert_array_equal(joined([some, some]).off_place["x"][3:], other.readings.off_place["x"][:3])
+
+
+@pytest.mark.parametrize("name", ["tracking_3d", "step_diagonal"])
+def test_it_is_written_as_it_was_read_and_carried_over_to_the_places(name: str, tmp_path: Path) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS[name], seed=5)).session
+    other = read_off(session, 2e-6)
+    write_session(other, tmp_path / "session")
+    session_to_bag(other, tmp_path / "bag")
+    plain = identify(session)
+    for found in (other, read_session(tmp_path / "session"), open_measurement(tmp_path / "bag")):
+        result = identify(found)
+        assert result.rms_residual == pytest.approx(plain.rms_residual, rel=1e-3)
+        assert result.error_map.error == pytest.approx(plain.error_map.error, abs=1e-9, nan_ok=True)

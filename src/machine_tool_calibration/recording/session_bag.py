@@ -149,7 +149,7 @@ def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:
         if label in readings.labels and entries is not None:
             place = places_among(readings.labels[label], [entry.id for entry in entries])
             columns[column] = np.where(place < 0, np.nan, place)
-    columns |= {name: values for name, values in readings.columns.items() if name not in columns}
+    columns |= {name: values for name, values in readings.recorded_columns.items() if name not in columns}
     columns["displacement"] = readings.displacement
     columns[READING_INDEX] = np.arange(len(readings), dtype=np.float64)
     return list(columns), np.column_stack(list(columns.values()))

@@ -57,7 +57,7 @@ def readings_frame(session: Session) -> pd.DataFrame:
         "setup": np.asarray(session.setup_ids, dtype=object)[readings.setup],
         "repeat": readings.repeat,
         "displacement": readings.displacement,
-        **readings.columns,
+        **readings.recorded_columns,
         **readings.labels,
     }
     names = [name for name in _ORDER if name in columns] + [name for name in columns if name not in _ORDER]

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -47,8 +47,8 @@ class Readings:
     columns: Mapping[str, Array]
     labels: Mapping[str, np.ndarray]  # text columns by name, each (n,): target, point
     row: IntArray  # (n,) number of the reading in the recording, from 0; survives a selection
-    # by axis how far the positions that were read off are from the places that they are taken for, m or rad, at most
-    off_place: Mapping[str, float] = field(default_factory=dict)
+    # by axis (n,) how far positions that were read off are from the places that they are taken for, m or rad
+    off_place: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.displacement)
@@ -96,8 +96,20 @@ class Readings:
             columns={name: values[keep] for name, values in self.columns.items()},
             labels={name: values[keep] for name, values in self.labels.items()},
             row=self.row[keep],
-            off_place=self.off_place,
+            off_place={axis: off[keep] for axis, off in self.off_place.items()},
         )
+
+    @property
+    def recorded_columns(self) -> dict[str, Array]:
+        """The columns with positions as they were read off."""
+        return {**self.columns, **{axis: self.columns[axis] + off for axis, off in self.off_place.items()}}
+
+    def at_places(self, direction: Array) -> Self:
+        """What would be read at the places, along (n, 3) directions, where the axes stood beside them."""
+        if not self.off_place:
+            return self
+        off = np.column_stack([self.off_place.get(axis, np.zeros(len(self))) for axis in "xyz"])
+        return replace(self, displacement=self.displacement - np.sum(direction * off, axis=1), off_place={})
 
     def position(self) -> Array:
         """(n, 3) commanded x, y, z, m; an axis that the method does not move is 0."""
@@ -116,6 +128,10 @@ def joined(parts: Sequence[Readings]) -> Readings:
         columns={name: np.concatenate([part.columns[name] for part in parts]) for name in columns},
         labels={name: np.concatenate([part.labels[name] for part in parts]) for name in labels},
         row=np.concatenate([part.row for part in parts]),
+        off_place={
+            axis: np.concatenate([part.off_place.get(axis, np.zeros(len(part))) for part in parts])
+            for axis in dict.fromkeys(axis for part in parts for axis in part.off_place)
+        },
     )
 
 
@@ -261,7 +277,7 @@ def assemble(
         columns["time"] = time - first
     read_off = {axis: columns[axis] for axis in "xyzabc" if axis in columns}
     columns |= commanded(read_off)
-    off = {axis: float(np.abs(position - columns[axis]).max(initial=0.0)) for axis, position in read_off.items()}
+    off = {axis: np.nan_to_num(position - columns[axis]) for axis, position in read_off.items()}
     return Readings(
         setup=setup,
         repeat=repeat.astype(np.int64),
@@ -269,7 +285,7 @@ def assemble(
         columns=columns,
         labels=texts,
         row=np.arange(count, dtype=np.int64),
-        off_place={axis: most for axis, most in off.items() if most > 0.0},
+        off_place={axis: beside for axis, beside in off.items() if beside.any()},
     )
 
 

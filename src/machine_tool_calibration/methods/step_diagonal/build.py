@@ -195,6 +195,7 @@ def _observations(session: Session, readings: Readings, runs: Sequence[geometry.
     run = readings.repeat_of_setup
     position = readings.position()
     beam = np.array([r.beam for r in runs])[readings.setup]
+    readings = readings.at_places(beam)
     displacement = position - np.array([r.start for r in runs])[readings.setup]
     path = np.einsum("nj,nj->n", beam, displacement)
     turned = np.asarray(np.cross(beam, displacement))

@@ -194,6 +194,7 @@ def _free(session: Session) -> TrackingModel:
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = unit_vectors(readings.column("azimuth"), elevation)
+    readings = readings.at_places(line / np.maximum(length, 1e-9)[:, None])
     # No single reading decides; a station that read nothing has a path of zero.
     path = np.nan_to_num(group_ranges(length - readings.displacement, readings.setup, len(stations))[1])
     observed = Observations(session, readings, position, direction, np.zeros_like(direction), length, readings.setup)

@@ -80,8 +80,8 @@ def _copied(session: Session) -> Iterator[str]:
 
 def read_off(session: Session) -> Iterator[str]:
     """Positions that scatter about places: read off an encoder."""
-    for axis, most in session.readings.off_place.items():
-        if most < _WRITTEN:
+    for axis, off in session.readings.off_place.items():
+        if (most := float(np.abs(off).max(initial=0.0))) < _WRITTEN:
             continue
         places = len(np.unique(session.readings.columns[axis]))
         unit = "µrad" if axis in "abc" else "µm"
