@@ -170,9 +170,9 @@ def test_a_launch_ends_with_a_node_that_is_needed(launch, name):
     ("file", "name"),
     [("graph.launch.py", "estimator"), ("graph.launch.py", "recorder"), ("identify.launch.py", "recorder")],
 )
-def test_a_node_that_only_listens_is_started_again_where_it_fails(launch, file, name):
-    running, count = SimpleNamespace(is_shutdown=False), 1
-    on_exit = exit_handler(launch(file), name, bag="run")
+def test_a_node_that_only_listens_is_started_again_where_it_fails(launch, file, name, tmp_path):
+    running, count, bag = SimpleNamespace(is_shutdown=False), 1, str(tmp_path / "run")
+    on_exit = exit_handler(launch(file), name, bag=bag)
     assert on_exit(ended(name, 1), SimpleNamespace(is_shutdown=True)) is None
     for status in (0, 1):  # it has ended by itself, or could not start, as it could not a second time
         alone = on_exit(ended(name, status), running)
@@ -182,7 +182,7 @@ def test_a_node_that_only_listens_is_started_again_where_it_fails(launch, file, 
         count += 1
         assert f"{name} has ended (status -9)" in said.named["msg"] and "started again" in said.named["msg"]
         assert again.named["name"] == name
-        assert again.named["parameters"][1].get("folder") == (f"run_{count}" if name == "recorder" else None)
+        assert again.named["parameters"][1].get("folder") == (f"{bag}_{count}" if name == "recorder" else None)
         on_exit = again.named["on_exit"]
     assert count == 4 and done.named["msg"].endswith("go on without it")
 
