@@ -301,3 +301,11 @@ def test_runs_with_slopes_of_their_own_are_known_no_better_without_times() -> No
         found.append(identify(measured).error_map.uncertainty[-1, 0])
         true.append(0.2 * slopes.std(ddof=1) / np.sqrt(10))
     assert np.mean(found) == pytest.approx(np.mean(true), rel=0.25)
+
+
+@pytest.mark.parametrize(("each", "families"), [(1, []), (2, ["run"]), (5, ["run"])])
+def test_runs_at_one_place_are_a_family_where_each_reads_it_more_than_once(each: int, families: list[str]) -> None:
+    columns = {"x": 0.0, "y": 0.0, "z": 0.0, "displacement": np.zeros(6 * each)}
+    session = plates.session(columns, 1e-6, "offset", [], np.repeat(np.arange(6), each), repeats=6)
+    found = reproducibility(build_model(session)[0].observations)
+    assert [family.name for family in found if family.count == 6] == families

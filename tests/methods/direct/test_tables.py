@@ -13,7 +13,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import ModelError, SessionError
-from machine_tool_calibration.methods.direct.nodes import nodes_from
+from machine_tool_calibration.methods.direct.nodes import _read_twice, nodes_from
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
@@ -380,3 +380,20 @@ def test_a_steep_course_read_at_places_of_each_pass_has_nodes_enough() -> None:
         found = diagnose(plates.session(columns, 8e-8, "none", ["EXX"], np.repeat(np.arange(8), 29), repeats=8))
         assert "pitch_periodic_x" not in found.accepted
         assert found.fits[0].reduced_chi_square < 2.0
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "twice"),
+    [
+        ([0.01, 0.06, 0.11, 0.16], [0.02, 0.07, 0.12, 0.17], True),  # in each half of 0.05, at places of their own
+        ([0.01, 0.02, 0.11, 0.12], [0.06, 0.07, 0.16, 0.17], False),  # each pass has halves of its own
+        ([0.01, 0.02, 0.06, 0.07], [], False),
+        ([], [], False),
+    ],
+)
+def test_halves_between_nodes_that_several_passes_read(first: list[float], second: list[float], twice: bool) -> None:
+    nodes, x = np.array([0.0, 0.1, 0.2]), np.array([*first, *second])
+    of_pass = np.repeat([0, 1], [len(first), len(second)])
+    assert _read_twice(nodes, x, of_pass, np.full(len(x), True)) is twice
+    # What does not read the motion says nothing of it.
+    assert not _read_twice(nodes, x, of_pass, of_pass == 0)
