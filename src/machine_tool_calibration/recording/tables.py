@@ -18,6 +18,7 @@ from machine_tool_calibration.progress import Progress, untold
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
 from machine_tool_calibration.recording.metadata import Topic
 from machine_tool_calibration.recording.reader import BagReader, Message, is_readable
+from machine_tool_calibration.recording.writer import make_folder
 from machine_tool_calibration.session.csv_text import write_csv
 
 _ROWS = 50_000  # rows that are kept in memory
@@ -166,12 +167,7 @@ def save_tables(
     The files by topic, and the topics whose type cannot be read; `report` is told topic and share of all messages. A
     RecordingError if the folder is not empty or cannot be written, or a message is damaged.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise RecordingError(f"{folder}: is not empty; choose another folder")
-    except OSError as error:
-        raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
+    make_folder(folder, "choose another folder")
     readable = [topic for _, topic in sorted(bag.topics.items()) if is_readable(topic)]
     files: dict[str, Path] = {}
     before = 0  # messages of the topics that are written

@@ -59,12 +59,12 @@ class _File:
         os.close(self._handle)
 
 
-def make_folder(folder: Path) -> None:
-    """Make a recording's folder; a RecordingError if it cannot be made, or is there and not empty."""
+def make_folder(folder: Path, advice: str = "a recording needs a new folder") -> None:
+    """Make a folder for what is written; a RecordingError, with advice, if it cannot be made or is not empty."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise RecordingError(f"{folder}: is not empty; a recording needs a new folder")
+            raise RecordingError(f"{folder}: is not empty; {advice}")
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
 

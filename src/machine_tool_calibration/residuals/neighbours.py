@@ -247,10 +247,7 @@ class _Ordered:
     def near(self, which: IntArray, residual: Array, most: int = priors.NEIGHBOURS) -> tuple[Array, Array]:
         """(m,) steps to the next readings of the group before and after, and (k, m) their residuals, NaN where none."""
         along = _steps(most)
-        near = self.position[which][:, None] + along
-        inside = (near >= 0) & (near < len(self.order))
-        near = self.order[np.clip(near, 0, len(self.order) - 1)]
-        inside &= self.group[near] == self.group[which][:, None]
+        near, inside = self._at(self.order, self.position[which][:, None] + along, which)
         return along.astype(float), np.where(inside, residual[near], np.nan)
 
     def near_others(self, which: IntArray, residual: Array, without: BoolArray) -> tuple[Array, Array]:
@@ -259,12 +256,18 @@ class _Ordered:
         after = np.searchsorted(self.position[others], self.position[which], side="right")
         before = after - ~without[which]  # a reading is not its own neighbour
         along = _steps(priors.NEIGHBOURS)
-        near = np.where(along < 0, before[:, None] + along, after[:, None] + along - 1)
-        inside = (near >= 0) & (near < len(others))
-        near = others[np.clip(near, 0, len(others) - 1)] if len(others) else np.zeros_like(near)
-        inside &= self.group[near] == self.group[which][:, None]
+        place = np.where(along < 0, before[:, None] + along, after[:, None] + along - 1)
+        near, inside = self._at(others, place, which)
         steps = (self.position[near] - self.position[which][:, None]).astype(float)
         return np.where(inside, steps, along), np.where(inside, residual[near], np.nan)
+
+    def _at(self, ordered: IntArray, place: IntArray, which: IntArray) -> tuple[IntArray, BoolArray]:
+        """(k, m) readings at places among some that are ordered, and whether each is there and of the group."""
+        if not len(ordered):
+            return 0 * place, np.zeros(place.shape, dtype=bool)
+        near = ordered[np.clip(place, 0, len(ordered) - 1)]
+        there = (place >= 0) & (place < len(ordered))
+        return near, there & (self.group[near] == self.group[which][:, None])
 
 
 def _steps(most: int) -> IntArray:

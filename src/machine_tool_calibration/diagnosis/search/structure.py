@@ -266,10 +266,8 @@ def _from_place_to_place(scaled: Array, sign: Array) -> Array:
     Of many places lines between some, as neighbours have much in common.
     """
     at, place = np.unique(np.round(scaled, 6), return_inverse=True)
-    count = [np.bincount(place.reshape(-1)[sign * way > 0], minlength=len(at)) for way in (1, -1)]
-    both = np.flatnonzero(np.minimum(*count) >= 2)
-    if np.count_nonzero(np.minimum(*count)) > 2 * _MOST_PLACES:
-        both = np.flatnonzero(np.minimum(*count))
+    count = np.min([np.bincount(place.reshape(-1)[sign * way > 0], minlength=len(at)) for way in (1, -1)], axis=0)
+    both = np.flatnonzero(count >= (1 if np.count_nonzero(count) > 2 * _MOST_PLACES else 2))
     own = (place.reshape(-1) == both[:, None]).astype(np.float64)
     # What the effect explains is no structure.
     smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
