@@ -2,6 +2,7 @@
 """The model of one session, whatever its method."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.own_noise import own_noise
 from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
 from machine_tool_calibration.session.checks.places import misplaced
@@ -54,7 +56,8 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
     built: MethodModel = load(spec_of(session).model).build(without_gaps(session), name)
-    return built, name
+    noise = own_noise(built.observations, built.declared_sigma)
+    return (built if noise is None else replace(built, noise=noise).reestimated()), name
 
 
 def linear_part(
@@ -82,10 +85,13 @@ def without_vague(fit: Fit, error: Array, covariance: Array) -> tuple[Array, Arr
 
 
 def error_map(fit: Fit) -> ErrorMap:
-    """The machine's errors from one session's share in a fit."""
+    """The machine's errors from one session's share in a fit, and what each setup scatters by where they differ."""
     spec = spec_of(fit.model.observations.session)
     found: ErrorMap = load(spec.model).error_map(fit.model, fit)
-    return found
+    if fit.model.noise is None or fit.joint.given is not None:
+        return found
+    scatter = {**found.content.get("scatter", {}), "each": fit.model.noise.each}
+    return replace(found, content={**found.content, "scatter": scatter})
 
 
 def suspicious_fits(

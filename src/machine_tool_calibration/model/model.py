@@ -4,7 +4,7 @@
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from typing import Protocol, Self
 
@@ -14,6 +14,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.own_noise import OwnNoise
 
 
 @dataclass(frozen=True)
@@ -174,6 +175,8 @@ class MethodModel(ABC):
     priors: tuple[Prior, ...]  # further knowledge
     left_out: tuple[NotDetermined, ...]  # what the model does not hold because this data cannot determine it
     datum: str  # the datum in words
+    # of directions or setups that scatter differently; None where all are alike
+    noise: OwnNoise | None = field(default=None, kw_only=True)
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -210,8 +213,11 @@ class MethodModel(ABC):
         return self
 
     def drawn_as(self, other: Self) -> Self:
-        """The same model with what another one of the same machine draws from its readings."""
-        return self
+        """The same model with what another one, of these readings and further ones, draws from its readings."""
+        if other.noise is None:
+            return self if self.noise is None else replace(self, noise=None)
+        mine = np.isin(other.observations.readings.row, self.observations.readings.row)
+        return replace(self, noise=replace(other.noise, factor=other.noise.factor[mine]))
 
     @property
     def random(self) -> RandomUnknowns | None:
@@ -225,8 +231,9 @@ class MethodModel(ABC):
 
     @property
     def sigma(self) -> Array:
-        """(n,) standard uncertainty by which each reading counts, m: that declared, or by its last digit."""
-        return np.maximum(self.declared_sigma, self.observations.rounding)
+        """(n,) standard uncertainty by which each reading counts, m: that declared, its own, or by its last digit."""
+        factor = 1.0 if self.noise is None else self.noise.factor
+        return np.maximum(self.declared_sigma * factor, self.observations.rounding)
 
     @property
     def declared_sigma(self) -> Array:

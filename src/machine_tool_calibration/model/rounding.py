@@ -40,6 +40,12 @@ def rounding_of(values: Array) -> float:
     return 0.0
 
 
+def own_rounding(displacement: Array, path: Array) -> float:
+    """`rounding_of` readings (n,) whose nominal values are `path` (n,), m, of which equal steps are no digit."""
+    found = rounding_of(displacement)
+    return found if np.sqrt(12.0) * found < _WHOLE_RANGE * np.ptp(displacement - path) else 0.0
+
+
 def by_rounding(displacement: Array, path: Array, setup: IntArray, spot: IntArray, place: IntArray) -> Array:
     """(n,) standard uncertainty, m, by which readings count that have nothing but their rounding.
 
@@ -57,8 +63,8 @@ def by_rounding(displacement: Array, path: Array, setup: IntArray, spot: IntArra
     out = np.zeros(len(displacement))
     order = np.argsort(setup, kind="stable")
     for own in np.split(order, np.flatnonzero(np.diff(setup[order])) + 1):
-        digit = np.sqrt(12.0) * rounding_of(displacement[own]) if len(own) >= _ENOUGH else 0.0
-        if not 0.0 < digit < _WHOLE_RANGE * np.ptp(displacement[own] - path[own]):
+        digit = np.sqrt(12.0) * own_rounding(displacement[own], path[own]) if len(own) >= _ENOUGH else 0.0
+        if not digit:
             continue
         values, at, again = displacement[own] / digit, groups(spot[own]), groups(place[own])
         off = values - means_of(again, values)

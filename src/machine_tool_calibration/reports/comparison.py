@@ -13,7 +13,7 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.build import error_map, suspicious_fits
 from machine_tool_calibration.model.result import only_if_right
-from machine_tool_calibration.reports.goodness import fit_words, scatter_words
+from machine_tool_calibration.reports.goodness import fit_words
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
     micrometres,
@@ -35,8 +35,7 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
     one = comparison if isinstance(comparison, Comparison) else None
     overall, count = comparison.overall, len(comparison.outliers)
-    fitting = scatter_words(_map_of(one), overall.p_value) if one else None
-    fitting = fitting or fit_words(overall.reduced_chi_square, overall.p_value)
+    fitting = fit_words(overall.reduced_chi_square, overall.p_value, _map_of(one) if one else {})
     bad = only_if_right(overall.p_value, _map_of(one) if one else None)
     said: list[str] = [fitting]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []

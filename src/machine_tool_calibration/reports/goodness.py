@@ -36,16 +36,18 @@ _WEAK = 3.0
 _FAR_OFF = 2.0
 
 
-def fit_words(reduced_chi_square: float, p_value: float) -> Said:
+def fit_words(reduced_chi_square: float, p_value: float, content: Mapping[str, Any]) -> Said:
     """How well a model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
+    if direct := scatter_words(content, p_value):
+        return direct
     how, ratio = fit_quality(p_value), rounded(reduced_chi_square**0.5)
-    return say(f"fit.{how.replace(' ', '_')}", ratio=ratio, p=chance(p_value))
+    return together((say(f"fit.{how.replace(' ', '_')}", ratio=ratio, p=chance(p_value)), *_each_words(content)))
 
 
 def _scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
     scatter = content.get("scatter")
-    if scatter is None or scatter["found"] is None:
+    if scatter is None or scatter.get("found") is None:
         return None
     how, used = fit_quality(scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
     both, ratio = _both(scatter["found"], scatter["declared"]), rounded(scatter["found"] / scatter["declared"])

@@ -20,7 +20,6 @@ from machine_tool_calibration.reports.goodness import (
     fit_words,
     free_words,
     off_the_map_words,
-    scatter_words,
     vague_words,
 )
 from machine_tool_calibration.reports.quantities import (
@@ -278,8 +277,7 @@ def session_headline(session: Session) -> str:
 
 def goodness_of_fit(document: Mapping[str, Any]) -> Said:
     """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
-    direct = scatter_words(document.get("error_map") or {}, document["p_value"])
-    return direct or fit_words(document["reduced_chi_square"], document["p_value"])
+    return fit_words(document["reduced_chi_square"], document["p_value"], document.get("error_map") or {})
 
 
 def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES) -> list[tuple[str, str]]:

@@ -12,9 +12,9 @@ What a fit says of it are position errors, tables, and the figures of ISO 230-2 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -28,7 +28,6 @@ from machine_tool_calibration.methods.direct import datum
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.direct.nodes import asked_tables, bending_tables
 from machine_tool_calibration.methods.direct.off_the_map import between_nodes, widened
-from machine_tool_calibration.methods.direct.own_noise import OwnNoise, own_noise
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
@@ -125,20 +124,6 @@ class DirectModel(MethodModel):
     setups: datum.SetupDatum  # what each setup leaves open
     fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
     points: tuple[PointErrors, ...] = ()  # in place of tables, errors of every place by itself
-    noise: OwnNoise | None = None  # of directions or setups that scatter differently
-
-    @property
-    def sigma(self) -> Array:
-        """(n,) standard uncertainty by which each reading counts, m: with noise of its own direction and setup."""
-        least = super().sigma
-        return least if self.noise is None else np.maximum(least, self.declared_sigma * self.noise.factor)
-
-    def drawn_as(self, other: Self) -> Self:
-        """With the noise of its own that each reading has in a model of these readings and further ones."""
-        if other.noise is None:
-            return self if self.noise is None else replace(self, noise=None)
-        mine = np.isin(other.observations.readings.row, self.observations.readings.row)
-        return replace(self, noise=replace(other.noise, factor=other.noise.factor[mine]))
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -161,8 +146,7 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
-    built = build_direct(session, free=model == "free")
-    return replace(built, noise=own_noise(built.observations, built.declared_sigma))
+    return build_direct(session, free=model == "free")
 
 
 def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: bool = False) -> DirectModel:
@@ -372,8 +356,6 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
 def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest.
 
-    Where directions or setups differ, what `each` scatters by.
-
     Where beside it only the reversal of ISO 230-2 runs is in it, also the scatter of one position and direction.
     """
     sigma, observations = model.declared_sigma, model.observations
@@ -391,7 +373,6 @@ def _scatter(model: DirectModel, fit: Fit, runs: Sequence[Mapping[str, Any]]) ->
         "found": found,
         "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 and found > declared else "declared",
         "factor": fit.scatter_factor,
-        "each": {} if model.noise is None else model.noise.each,
     }
 
 

@@ -95,10 +95,11 @@ class StepDiagonalModel(MethodModel):
         return replace(self, spread=spread, priors=small_angles.angular_priors(spread.names, posterior.priors))
 
     def drawn_as(self, other: Self) -> Self:
-        """With the size of the angular errors of a model of other readings."""
+        """With the size of the angular errors of a model of other readings, and their noise."""
+        drawn = super().drawn_as(other)
         if self.spread is None or other.spread is None or self.spread.names != other.spread.names:
-            return self
-        return replace(self, spread=replace(self.spread, posterior=other.spread.posterior), priors=other.priors)
+            return drawn
+        return replace(drawn, spread=replace(self.spread, posterior=other.spread.posterior), priors=other.priors)
 
     def expecting(self, size: float) -> Self:
         """The model with angular errors of that root mean square, rad, whatever the readings say of them."""
