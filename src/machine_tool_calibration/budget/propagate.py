@@ -42,8 +42,7 @@ _MOST_GROUPS = 100
 DRAWS = 200
 # Part of the declared uncertainty below which an upper bound of what a contributor does is enough.
 _NEGLIGIBLE_SHARE = 0.01
-# Numbers that all draws of a check may have.
-_MOST_NUMBERS = 100_000_000
+_MOST_NUMBERS = 100_000_000  # numbers that all draws of a check may have
 _ALIKE = 1e-9
 # Equally probable values of the standard normal distribution, of unit mean square.
 _VALUES = special.ndtri((np.arange(10) + 0.5) / 10.0)

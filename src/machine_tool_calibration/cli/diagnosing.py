@@ -212,8 +212,7 @@ def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 One = TypeVar("One")
-# Seconds between two lines where there is no terminal for a bar.
-_LINE = 30.0
+_LINE = 30.0  # seconds between two lines where there is no terminal for a bar
 
 workers_options = options(
     click.option(

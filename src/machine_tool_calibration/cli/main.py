@@ -39,8 +39,7 @@ SECTIONS = {
     "Find what the model lacks": ("compare", "compare-maps", "diagnose", "improve", "history", "workbench", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
 }
-# Verbs that only read and show.
-_LIGHT = ("effects", "history", "info")
+_LIGHT = ("effects", "history", "info")  # verbs that only read and show
 
 
 class OutputClosedError(Exception):

@@ -39,8 +39,7 @@ _DATA, _REMARKS = "pitch_error.txt", "compensation.txt"
 _LARGEST_ENTRY, _LARGEST_MAGNIFICATION = 7, 100
 # Detection unit, m; first number of the data's lines.
 _UNIT, _FIRST = 1e-6, 10000
-# Half the width of a step as it is read, m.
-_EDGE = 1e-9
+_EDGE = 1e-9  # half the width of a step as it is read, m
 _SIGN = (
     "a point's value is what is added to the position while the axis passes its section in the positive direction: "
     "minus the increase of the deviation (actual minus commanded, ISO 230-1) in the section"

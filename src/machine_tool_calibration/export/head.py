@@ -14,8 +14,7 @@ SIGN = (
     "deviations, actual minus commanded position of the tool in the workpiece frame (ISO 230-1); the compensation is "
     "minus the deviation"
 )
-# Farther than any axis travels, m.
-_FAR = 1e3
+_FAR = 1e3  # farther than any axis travels, m
 _REFERENCE = (
     "positions are the commanded axis positions of the measurement, which must be machine coordinates of the homed "
     "machine; the lever arms of angles end at the functional point (retroreflector, mirror, stylus) that was measured"

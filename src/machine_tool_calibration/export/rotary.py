@@ -25,8 +25,7 @@ from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap, Result
 from machine_tool_calibration.session.catalogue import spec_of
 
-# Longest step between angles that a turn may have where it is closed, over the usual one.
-_CLOSED = 1.5
+_CLOSED = 1.5  # longest step between angles that a turn may have where it is closed, over the usual one
 _DEGREES = 180.0 / np.pi
 _HERE = "units here: rad"
 _SENSE = "degrees in the axis's own sense; deviations, actual minus commanded angle; 0 at the angle nearest to zero"

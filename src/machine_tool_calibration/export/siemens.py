@@ -45,10 +45,8 @@ _TRY_SAG = (
 )
 _UNITS = "mm; the control's basic system must be metric"
 _RESOLUTION = "values and positions are rounded to 1 nm"
-# Steps between nodes that differ by less are equal, as a share.
-_EVEN = 1e-6
-# What an 828D holds.
-_NODES_OF_828D = 200
+_EVEN = 1e-6  # steps between nodes that differ by less are equal, as a share
+_NODES_OF_828D = 200  # what an 828D holds
 _LINE = re.compile(r"\$(AA_ENC_COMP|AN_CEC)(_[A-Z_]+)?\[([^]]*)\]\s*=\s*(\S+)")
 
 

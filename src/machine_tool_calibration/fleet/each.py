@@ -28,8 +28,7 @@ _SWIFT = {
         "MALLOC_ARENA_MAX": 1, "OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1,
     },
 }  # fmt: skip
-# How long a scheduler may take to answer.
-_PATIENCE = "10s"
+_PATIENCE = "10s"  # how long a scheduler may take to answer
 _LOOK = 2.0  # seconds between two looks whether processes of this machine are gone for good
 # Of processes of this machine. What dies is told in the answer, and not in lines between those of the progress.
 _LOCAL: dict[str, Any] = {

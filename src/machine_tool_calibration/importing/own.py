@@ -77,8 +77,7 @@ def _parquet(file: Path, described: str) -> _Columns:
     return numbers, labels, Place(described, str(file))
 
 
-# Positions and angles that are one: m and rad.
-_NO_MOTION = 1e-7
+_NO_MOTION = 1e-7  # positions and angles that are one: m and rad
 
 
 @dataclass(frozen=True)

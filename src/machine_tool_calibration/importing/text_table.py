@@ -60,8 +60,7 @@ def _past_midnight(times: Array) -> Array:
     return out
 
 
-# How .xlsx, .ods (zipped) and .xls files begin.
-_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # how .xlsx, .ods (zipped) and .xls files begin
 _LOOKED_AT = 1000  # lines, and bytes, by which the form of a table is recognised
 _MOST_COLUMNS = 1000
 _MOST_CELLS = 5_000_000

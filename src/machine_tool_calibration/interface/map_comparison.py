@@ -19,8 +19,7 @@ from machine_tool_calibration.reports.quantities import ROUNDING, p_value, plus_
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
-# Points of a table for people: of more, those of which the maps differ most.
-_MOST_POINTS = 25
+_MOST_POINTS = 25  # points of a table for people: of more, those of which the maps differ most
 _COLUMNS = ("first", "second", "difference", "u", "normalised")
 
 

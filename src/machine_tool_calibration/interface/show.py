@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-# Columns of a text, as the commands have in a file.
-_WIDTH = 120
+_WIDTH = 120  # columns of a text, as the commands have in a file
 
 
 class Shown(ABC):
@@ -108,8 +107,7 @@ def notebook(figure: Figure) -> Figure:
 
 MOST_DRAWS = 100_000
 """Random draws that can be asked for: quantiles of more are no better known than what is drawn from."""
-# Smallest and largest.
-_LIMITS = {"seed": (0, 2**63 - 1), "draws": (0, MOST_DRAWS)}
+_LIMITS = {"seed": (0, 2**63 - 1), "draws": (0, MOST_DRAWS)}  # smallest and largest
 
 
 def require_whole(**numbers: Any) -> None:

@@ -16,8 +16,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
-# Share of an interval by which a position is off a node by rounding: the next node is not read there.
-_ON_NODE = 1e-6
+_ON_NODE = 1e-6  # share of an interval by which a position is off a node by rounding: the next node is not read there
 
 
 def interpolation(nodes: Array, position: Array) -> Array:

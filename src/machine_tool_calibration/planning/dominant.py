@@ -37,10 +37,8 @@ ANGULAR = 5e-6
 DRIFT = 1e-9
 """Rate at which a reading drifts if the air warms by 1 K per hour, m/s: 3.6 um an hour, a third of a metre of steel."""
 
-# Share of the expected drift below which what the readings say of a steady one counts in its place.
-_FAR_LESS = 0.1
-# A remedy leaves less than this of what the same measurement once more would leave.
-_WORTHWHILE = 0.9
+_FAR_LESS = 0.1  # share of the expected drift below which what the readings say of a steady one counts in its place
+_WORTHWHILE = 0.9  # a remedy leaves less than this of what the same measurement once more would leave
 _MOST_REMEDIES = 3
 
 

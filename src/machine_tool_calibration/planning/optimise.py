@@ -28,8 +28,7 @@ from machine_tool_calibration.progress import Progress, untold
 _STARTS = 4
 _PLANS = 6000
 _MOST_STARTS = 40
-# Share of the readings that must check others: a plan without redundancy hides every mistake.
-_CHECKED = 0.1
+_CHECKED = 0.1  # share of the readings that must check others: a plan without redundancy hides every mistake
 _UNCHECKED = 1e3
 _LONG = 1e9  # more than any plan takes, s
 _TRIES = 3  # starts for each number of setups

@@ -11,8 +11,7 @@ from machine_tool_calibration.reports.quantities import as_exact
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
-# Share of the drawn radius that the largest deviation takes.
-_SHARE = 0.35
+_SHARE = 0.35  # share of the drawn radius that the largest deviation takes
 _EDGE = 1.1 + _SHARE
 # Step between readings from which the arc has a gap, rad, and over the usual one.
 _GAP, _STEPS_OF_A_GAP = 0.2, 3.0

@@ -15,10 +15,8 @@ from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.words import say
 
 _PANELS = 6
-# Setups that a legend names.
-_LISTED = 24
-# Share of the largest residual below which what repeats leave in common is nothing.
-_CANCELLED = 1e-6
+_LISTED = 24  # setups that a legend names
+_CANCELLED = 1e-6  # share of the largest residual below which what repeats leave in common is nothing
 
 
 def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:

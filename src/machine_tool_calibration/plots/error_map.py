@@ -83,15 +83,11 @@ def _headed(squareness: Mapping[str, tuple[float, float]]) -> str:
     return together((text, say("picture.squareness", parts=", ".join(parts))), "\n") if parts else text
 
 
-# Largest error as a share of the distance between neighbours.
-_ERROR_SHARE = 0.6
-# Smallest ellipse that is seen beside its point, as a share of the map.
-_SMALLEST_ELLIPSE = 0.014
-# Room that ellipses may take beside the points, as a share of the map.
-_ROOM = 0.25
+_ERROR_SHARE = 0.6  # largest error as a share of the distance between neighbours
+_SMALLEST_ELLIPSE = 0.014  # smallest ellipse that is seen beside its point, as a share of the map
+_ROOM = 0.25  # room that ellipses may take beside the points, as a share of the map
 _MOST_LAYERS = 6
-# Extent of a plane across itself, m.
-_FLAT = 1e-6
+_FLAT = 1e-6  # extent of a plane across itself, m
 _MOST_ELLIPSES = 1500
 
 

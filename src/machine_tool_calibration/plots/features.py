@@ -13,8 +13,7 @@ from machine_tool_calibration.plots import style
 from machine_tool_calibration.plots.style import Axes, Figure
 from machine_tool_calibration.words import say
 
-# Share of the drawing's width that the largest deviation takes.
-_LENGTH = 0.16
+_LENGTH = 0.16  # share of the drawing's width that the largest deviation takes
 # Semi-axes of an ellipse that holds a pair of normal quantities with 95 %, in standard uncertainties.
 _ELLIPSE = float(np.sqrt(-2.0 * np.log(0.05)))
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)

@@ -20,8 +20,7 @@ from machine_tool_calibration.residuals.covariates import rank_covariates, sense
 from machine_tool_calibration.session.session import ENVIRONMENT_COLUMNS
 from machine_tool_calibration.words import say
 
-# Advantage, in share of the residuals' variance, of each column on which the effect depends by its formula.
-_OWN = 0.2
+_OWN = 0.2  # advantage, in share of the residuals' variance, of each column on which the effect depends by its formula
 _PANELS = 2
 # Bins of the running mean: enough for the period of a screw. A displacement is read where it counts so much.
 _BINS, _LEAST_SENSITIVITY = 24, 0.5

@@ -65,8 +65,7 @@ def _plane(panel: Axes, points: Array, one: PlanQuality, axes: tuple[int, int], 
 
 # Positions that differ by less are one, m; range of an axis that is worth a column, m.
 _SAME_POSITION, _EXTENT = 1e-6, 1e-4
-# Share of an axis by which the marks of before and after stand apart from the position.
-_ASIDE = 0.006
+_ASIDE = 0.006  # share of an axis by which the marks of before and after stand apart from the position
 
 
 def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
@@ -111,8 +110,7 @@ def _band(panel: Axes, where: Array, spread: Array, *, signed: bool) -> None:
     panel.fill_between(1e3 * _SAME_POSITION * square.index, low, half, color=style.BAND, alpha=0.5, lw=0, zorder=0)
 
 
-# Largest error as a share of the size of the map.
-_ERROR_SHARE = 0.12
+_ERROR_SHARE = 0.12  # largest error as a share of the size of the map
 _NO_EXTENT = 1e-6  # m
 
 

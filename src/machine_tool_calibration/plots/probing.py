@@ -14,8 +14,7 @@ from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-# Share of the drawing's width that the largest error takes.
-_LENGTH = 0.08
+_LENGTH = 0.08  # share of the drawing's width that the largest error takes
 _GRAY = "0.65"
 _BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.13), "ncols": 3, "frameon": False}
 

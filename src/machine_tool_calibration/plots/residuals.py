@@ -15,10 +15,8 @@ from machine_tool_calibration.words import named, say
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
 _ARROWS, _LENGTH = 700, 0.10
-# Share of the largest range of an axis that another must have to be shown beside it.
-_WIDE = 0.3
-# The same share up to which readings lie on a line.
-_THIN = 0.01
+_WIDE = 0.3  # share of the largest range of an axis that another must have to be shown beside it
+_THIN = 0.01  # the same share up to which readings lie on a line
 _DEGREES = 180.0 / np.pi
 SAME_PICTURE = 0.97
 """Correlation from which two covariates make the same picture."""

@@ -34,15 +34,13 @@ if TYPE_CHECKING:
 _NARROW, _SQUARE, _HALF = 5.0, 7.5, 5.6
 # Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.
 _WIDEST, _LOWEST = 9.5, 0.8
-# Dots of an inch on paper.
-_DPI = 150
+_DPI = 150  # dots of an inch on paper
 # Pictures of a method with a caption of their own.
 _CAPTIONS = ("error_map", "map", "stations", "arrangement", "probing")
 # Share of the drawing in space's size that the largest error takes, and points beyond which a browser is slow.
 _LENGTH, _MOST_POINTS = 0.08, 20000
 _GRAY = f"rgb({', '.join([str(round(255 * float(NOMINAL)))] * 3)})"
-# Panels of residuals over covariates.
-_PANELS = 4
+_PANELS = 4  # panels of residuals over covariates
 
 
 @dataclass(frozen=True, eq=False)

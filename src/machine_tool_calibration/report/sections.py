@@ -30,8 +30,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.words import Verbatim, Words, named, say, together
 
-# Setups that are listed.
-_SETUPS = 20
+_SETUPS = 20  # setups that are listed
 
 
 @dataclass(frozen=True)

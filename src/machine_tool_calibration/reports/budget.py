@@ -17,8 +17,7 @@ from machine_tool_calibration.words import named, say, together
 _LEAST_NAMED = 1.0  # %
 # Figures of ISO 230-2, ISO 230-6 and ISO 230-4 that are told unless others are asked for.
 _USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D", "G_ccw", "G_cw", "G_b", "H")
-# Degrees of freedom above which k is 2 to three figures.
-_MOST_DEGREES_OF_FREEDOM = 1000
+_MOST_DEGREES_OF_FREEDOM = 1000  # degrees of freedom above which k is 2 to three figures
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 

@@ -27,8 +27,7 @@ from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Verbatim, say, together
 
-# How much worse than all readings together a setup must be to be named.
-_WORSE = 1.15
+_WORSE = 1.15  # how much worse than all readings together a setup must be to be named
 
 
 def in_words(comparison: Comparison | JointComparison) -> str:

@@ -19,10 +19,8 @@ from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.verdict import only_reversal
 from machine_tool_calibration.residuals.pool import Pool
 
-# Probability from which a set of effects is told.
-_LEAST_PROBABILITY = 0.01
-# Multiple of the largest size that occurs beyond which an effect counts as not detectable.
-_BEYOND = 10.0
+_LEAST_PROBABILITY = 0.01  # probability from which a set of effects is told
+_BEYOND = 10.0  # multiple of the largest size that occurs beyond which an effect counts as not detectable
 _SEPARATION = ("effects", "measure", "separates", "cosine_before", "cosine_after", "seconds")
 
 

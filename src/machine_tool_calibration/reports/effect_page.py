@@ -17,8 +17,7 @@ from machine_tool_calibration.words import say, together
 if TYPE_CHECKING:
     from machine_tool_calibration.planning.injected import Injected, Shown
 
-# Share of an effect in the residuals from which the rest is not worth a word.
-_NEARLY_ALL = 0.95
+_NEARLY_ALL = 0.95  # share of an effect in the residuals from which the rest is not worth a word
 
 _INTRODUCTION = """# What effects look like
 

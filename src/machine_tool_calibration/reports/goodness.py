@@ -26,14 +26,10 @@ from machine_tool_calibration.residuals.scatter import scatter_change
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.words import Said, Verbatim, enumeration, say, together
 
-# Standard uncertainties below zero from which a coefficient is negative.
-_SURE = 2.0
-# Share of the places' extent from which an expanded uncertainty tells nothing of a machine.
-_VAGUE = 0.01
-# Uncertainty over that of single readings from which it is the geometry that hardly determines a map.
-_WEAK = 3.0
-# Standard uncertainties of most places from which what readings are together off the map stands out.
-_FAR_OFF = 2.0
+_SURE = 2.0  # standard uncertainties below zero from which a coefficient is negative
+_VAGUE = 0.01  # share of the places' extent from which an expanded uncertainty tells nothing of a machine
+_WEAK = 3.0  # uncertainty over that of single readings from which it is the geometry that hardly determines a map
+_FAR_OFF = 2.0  # standard uncertainties of most places from which what readings are together off the map stands out
 
 
 def fit_words(reduced_chi_square: float, p_value: float, content: Mapping[str, Any]) -> Said:

@@ -41,8 +41,7 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import Said, Verbatim, named, say, together
 
-# By how much a standard uncertainty is widened by the noise's memory from which that is said.
-_MEMORY = 1.25
+_MEMORY = 1.25  # by how much a standard uncertainty is widened by the noise's memory from which that is said
 
 
 @dataclass(frozen=True)

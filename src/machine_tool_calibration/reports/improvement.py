@@ -22,8 +22,7 @@ from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_w
 from machine_tool_calibration.reports.verdict import headline
 from machine_tool_calibration.words import say, together
 
-# Growth of the map's uncertainty that is explained.
-_GROWN = 1.2
+_GROWN = 1.2  # growth of the map's uncertainty that is explained
 
 
 def improvement_document(done: Improvement) -> dict[str, Any]:

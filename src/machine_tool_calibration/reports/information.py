@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
 
-# Displacements that are all smaller, m, are deviations: shown in micrometres.
-_LARGEST_DEVIATION = 1e-3
+_LARGEST_DEVIATION = 1e-3  # displacements that are all smaller, m, are deviations: shown in micrometres
 _UNITS = {
     **dict.fromkeys(("x", "y", "z", "displacement"), ("mm", 1e3)),
     **dict.fromkeys(("a", "b", "c", "azimuth", "elevation"), ("°", math.degrees(1.0))),

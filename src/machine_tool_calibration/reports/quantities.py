@@ -18,12 +18,10 @@ if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Estimate
     from machine_tool_calibration.session.description import DeclaredUncertainty, StandardUncertainty
 
-# What stands where the data leaves no number.
-NOT_DETERMINED = "–"
+NOT_DETERMINED = "–"  # what stands where the data leaves no number
 ROUNDING = 1e-11
 """Length or angle that is nothing, m or rad, however many figures the computer has of it."""
-# Probability from which what does not reproduce is shown with a size.
-_SURE = 0.9
+_SURE = 0.9  # probability from which what does not reproduce is shown with a size
 MOST_NAMED = 3
 """Coefficients of an effect, or setups, of which each is named in a sentence; of more, one or their range."""
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.

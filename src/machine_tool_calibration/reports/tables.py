@@ -13,10 +13,8 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from rich.console import Console
 
-# Longest text that a column keeps on one line.
-_UNBROKEN = 24
-# Between two columns.
-_GAP = 2
+_UNBROKEN = 24  # longest text that a column keeps on one line
+_GAP = 2  # between two columns
 # A column of nothing else stands to the right, so that places stand below each other.
 _NUMBER = re.compile(r"[-+−]?[\d.,:]+(e[-+]\d+)?( ± [\d.,]+)?( ?%)?|< ?[\d.,e-]+|–|…")
 # On paper: rows that are not folded any further, rows of a page, and columns that stand abreast.

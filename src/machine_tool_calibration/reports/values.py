@@ -25,8 +25,7 @@ from machine_tool_calibration.words import say, together
 
 STANDARDS = ("iso230_2", "iso230_6", "iso230_7", "figures")
 """Entries of an error map that hold figures of a standard."""
-# Runs in each direction that ISO 230-2:2014 asks for.
-_RUNS = 5
+_RUNS = 5  # runs in each direction that ISO 230-2:2014 asks for
 # Figures of ISO 230-2:2014 in the order of its test report; up and down, then both.
 _FIGURES = (
     ("reversal_B", ("", "", "B")), ("mean_reversal", ("", "", "B_mean")),
@@ -146,8 +145,7 @@ def _rotary(found: Sequence[Mapping[str, Any]], line: Mapping[str, Any]) -> Text
     return TextTable(say("iso230.rotary"), columns, tuple(rows), say("iso230.synchronous"))
 
 
-# Standard uncertainty, m or rad, below which nothing but the datum gave a value.
-_DATUM = 1e-12
+_DATUM = 1e-12  # standard uncertainty, m or rad, below which nothing but the datum gave a value
 
 
 def value_tables(result: Result | JointResult, most: int | None = None) -> Iterator[TextTable]:

@@ -33,24 +33,18 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Said, say, together
 
-# Standard uncertainties between confounded effects from which it is said how far apart they are.
-_APART = 6.0
+_APART = 6.0  # standard uncertainties between confounded effects from which it is said how far apart they are
 AS_GOOD = 0.1
 """Probability of another effect from which it is told beside those found."""
 # Covariates of a structure that is no more than that these differ: places, or what was read at the one place.
 _OF_PLACES = ("place", "target")
-# Probability from which an effect is named without it.
-_SURELY = 0.9
-# Share of the whole scatter from which that of repeats is part of the story.
-_PARTLY = 0.5
-# Readings for one independent one from which the memory of the noise is told.
-_MEMORY = 1.5
+_SURELY = 0.9  # probability from which an effect is named without it
+_PARTLY = 0.5  # share of the whole scatter from which that of repeats is part of the story
+_MEMORY = 1.5  # readings for one independent one from which the memory of the noise is told
 # Factor of the uncertainties over that by which readings scatter, from which places that differ make it.
 _OF_PLACES_MOSTLY = 1.5
-# Scatter of repeats over that of all, below which places differ more than their repeats.
-_SHARED = 0.7
-# Effects that are the reversal of an axis.
-_VARYING = "lost_motion"
+_SHARED = 0.7  # scatter of repeats over that of all, below which places differ more than their repeats
+_VARYING = "lost_motion"  # effects that are the reversal of an axis
 _OF_REVERSAL = ("backlash", _VARYING)
 
 

@@ -9,13 +9,11 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
-# Positions that are nearer to each other are one, m or rad.
-_SAME_TARGET = 1e-5
+_SAME_TARGET = 1e-5  # positions that are nearer to each other are one, m or rad
 # Share of a position's readings that came from its rarer side, from which it counts as read from either, and share of
 # the readings at such positions from which this was meant: in any order there are some.
 _RARER, _EITHER = 0.2, 0.5
-# Share of the positions by which an axis goes back all the way.
-_ALL_THE_WAY = 0.5
+_ALL_THE_WAY = 0.5  # share of the positions by which an axis goes back all the way
 
 
 def in_steps(position: Array) -> IntArray:

@@ -33,8 +33,7 @@ from machine_tool_calibration.trends.statement import Size
 _APPLICATION, _VERSION = 0x6D746C62, 1
 
 _DAY = datetime.timedelta(days=1)
-# Seconds that one program waits for another that is entering.
-_PATIENCE = 30.0
+_PATIENCE = 30.0  # seconds that one program waits for another that is entering
 _COLUMNS = (
     "machine", "date", "instrument", "label", "sha256", "software", "result", "sizes", "description", "readings",
 )  # fmt: skip

@@ -20,12 +20,9 @@ from machine_tool_calibration.workbench.work import Work
 
 _HOVER = [*look.HOVER[:2], ("residual", "@residual{0.000} µm"), ("studentized", "@studentized{0.0}")]
 _DRAWN = ("aside", "against0", "against1", "across", "up", "u", "v", "arrow")
-# Of a plot, so that two below each other fit a window of 768 pixels.
-_HEIGHT = 255
-# Readings of a table.
-_LISTED = 14
-# Setups up to which each has a button that hides it.
-_BUTTONS = 24
+_HEIGHT = 255  # of a plot, so that two below each other fit a window of 768 pixels
+_LISTED = 14  # readings of a table
+_BUTTONS = 24  # setups up to which each has a button that hides it
 
 
 class ComparePage:

@@ -24,8 +24,7 @@ _HOVER = [*look.HOVER[:2], ("residual", "@residual{0.000} µm"), ("pattern", "@p
 # The pattern lies over residuals in all colours of setups.
 _PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 _DRAWN = ("residual", "pattern", "over")
-# Effects of the bars.
-_BARS = 12
+_BARS = 12  # effects of the bars
 
 
 class DiagnosePage:

@@ -285,8 +285,7 @@ _HOVER = [
     ("U (95 %)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm"),
 ]  # fmt: skip
 _BAND = "#e69f00"
-# Share of the map's extent that the largest error is drawn as.
-_LENGTH = 0.12
+_LENGTH = 0.12  # share of the map's extent that the largest error is drawn as
 
 
 def magnification(maps: Sequence[ErrorMap]) -> float:

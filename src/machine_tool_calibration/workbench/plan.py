@@ -36,8 +36,7 @@ from machine_tool_calibration.workbench.work import Work
 _HOVER = [("setup", "@setup"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
 _MAP_HOVER = [("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("U (95 %)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm")]
 _NOW, _THEN = "#d55e00", "#0072b2"
-# Share of the map's extent that the largest uncertainty is drawn as.
-_LENGTH = 0.1
+_LENGTH = 0.1  # share of the map's extent that the largest uncertainty is drawn as
 
 
 def changed_procedure(

@@ -21,8 +21,7 @@ from machine_tool_calibration.progress import Progress
 # milliseconds, and no thread of the page's process was in the middle of anything. Nothing of the page is loaded there.
 _PROCESSES = multiprocessing.get_context("forkserver")
 _PRELOADED = [f"{__package__}.{name}" for name in ("process", "handed_over")]
-# Bytes beyond which a process is not kept for the next calculation.
-_LEAN = 0.6e9
+_LEAN = 0.6e9  # bytes beyond which a process is not kept for the next calculation
 
 
 def warm_up() -> None:

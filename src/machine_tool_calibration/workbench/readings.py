@@ -21,12 +21,10 @@ from machine_tool_calibration.workbench.state import State
 
 VIEWS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Planes in which places are drawn."""
-# Share of the largest extent that an arrow of the bulk's largest residual takes at most.
-_LENGTH = 0.12
+_LENGTH = 0.12  # share of the largest extent that an arrow of the bulk's largest residual takes at most
 _MORE, _LESS = packed("#d55e00"), packed("#0072b2")
 
-# Columns of packed colours.
-_COLORS = ("color", "arrow")
+_COLORS = ("color", "arrow")  # columns of packed colours
 
 
 class Readings:

@@ -14,8 +14,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.files import save
 from machine_tool_calibration.workbench.look import NO_WIDER, text
 
-# What may be downloaded, by the part of its address that nobody guesses.
-_OFFERED: dict[str, Path] = {}
+_OFFERED: dict[str, Path] = {}  # what may be downloaded, by the part of its address that nobody guesses
 
 
 class _Download(RequestHandler):

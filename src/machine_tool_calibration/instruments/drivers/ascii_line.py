@@ -197,8 +197,7 @@ class LineParser:
         return Sample(time, number * self._factor, beam, status) if math.isfinite(number) else None
 
 
-# A wait is cut into pieces of this length, so that `close` from another thread is noticed.
-SLICE = 0.1
+SLICE = 0.1  # a wait is cut into pieces of this length, so that `close` from another thread is noticed
 SHOWN = 60
 
 
