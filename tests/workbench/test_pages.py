@@ -46,9 +46,9 @@ def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, docu
     page = shown(ImprovePage, state)
     assert list(page._before.options) == ["1: first model"]
     for name in ("warmup_y", "backlash_y"):
-        state.changed(add=[name])()
+        state.changed(add=name)()
         state.undo()
-    state.changed(add=["dead_path"])()
+    state.changed(add="dead_path")()
     page.refresh()
     numbers = [entry.number for entry in read_history(history_path(hidden)).models]
     assert numbers == [1, 2, 3, 4]
@@ -82,7 +82,7 @@ def test_another_variant_of_the_model_is_chosen_where_the_result_is_shown(
 @pytest.mark.long
 def test_a_model_keeps_its_residual_volumetric_error_when_another_is_undone(state: State, document: Document) -> None:
     page = shown(ImprovePage, state)
-    state.changed(add=["backlash_y"])()
+    state.changed(add="backlash_y")()
     page.refresh()
     (first, _) = page._steps.data["tool"]
     state.undo()
@@ -131,7 +131,7 @@ def test_at_one_place_nothing_is_magnified(state: State, tmp_path: Path, documen
     (tmp_path / "observations.csv").write_text("\n".join(["time,setup,repeat,z,gx,gy,gz,displacement", *rows, ""]))
     state.opened(tmp_path)()
     assert shown(ComparePage, state)._map.title.text == "Places"
-    state.changed(add=["warmup_z"])()
+    state.changed(add="warmup_z")()
     assert shown(ImprovePage, state)._scale.object == "Above the plots: RMS."
 
 

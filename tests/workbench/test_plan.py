@@ -87,7 +87,7 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
 def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> None:
     measurement = simulate(method, effects={"linear_drift": 1e-9} if method != "probing" else {}, seed=3)
     subject = Subject(measurement)
-    model = subject.tried(None, "", FitRequest(measurement.sessions), frozenset(), frozenset())
+    model = subject.tried(None, "", FitRequest(measurement.sessions), frozenset(), frozenset(), {})
     now, *then = outlooks(subject.chosen(model), model.fit.result, lambda what, share: None)
     assert now.typical == model.step.map_uncertainty, "that which Improve and the history show"
     known = now.uncertainty > 0
@@ -103,7 +103,7 @@ def test_what_a_budget_adds_stays_whatever_is_measured_next() -> None:
         described = measurement.sessions[0].description.model_copy(update={"budget": lines})
         own = replace(measurement, sessions=(replace(measurement.sessions[0], description=described),))
         subject = Subject(own)
-        model = subject.tried(None, "", FitRequest(own.sessions), frozenset(), frozenset())
+        model = subject.tried(None, "", FitRequest(own.sessions), frozenset(), frozenset(), {})
         found = outlooks(subject.chosen(model), model.fit.result, lambda what, share: None)
         every.append({one.words: one.uncertainty**2 for one in found})
     read, complete = every

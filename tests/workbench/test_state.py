@@ -41,7 +41,7 @@ def test_an_effect_is_added_and_undone_and_the_history_holds_it(hidden: Path) ->
     state = opened(hidden)
     first = state.model.fit.rms_residual
     assert not history_path(hidden).exists(), "to look at a session leaves nothing in it"
-    state.changed(add=["backlash_y"])()
+    state.changed(add="backlash_y")()
     assert state.model.fit.effects == ("backlash_y",)
     assert state.model.fit.rms_residual < 0.5 * first
     kept = read_history(history_path(hidden))
@@ -58,8 +58,8 @@ def test_an_effect_is_added_and_undone_and_the_history_holds_it(hidden: Path) ->
 @pytest.mark.long
 def test_what_was_added_and_taken_away_again_is_the_first_model_of_the_history(hidden: Path) -> None:
     state = opened(hidden)
-    state.changed(add=["backlash_y"])()
-    state.changed(take=["backlash_y"])()
+    state.changed(add="backlash_y")()
+    state.changed(take="backlash_y")()
     assert [model.number for model in state.models] == [1, 2, 1]
     assert read_history(history_path(hidden)).current == 1
 
@@ -68,7 +68,7 @@ def test_what_was_added_and_taken_away_again_is_the_first_model_of_the_history(h
 def test_a_window_opened_later_goes_on_where_the_history_is(hidden: Path) -> None:
     state = opened(hidden)
     state.changed(aside=[5, 6])()
-    state.changed(add=["backlash_y"])()
+    state.changed(add="backlash_y")()
     again = opened(hidden)
     assert again.model.fit.effects == ("backlash_y",) and again.model.aside == {5, 6}
     assert [model.number for model in again.models] == [1, 2, 3]
@@ -78,9 +78,9 @@ def test_a_window_opened_later_goes_on_where_the_history_is(hidden: Path) -> Non
 @pytest.mark.long
 def test_two_windows_do_not_disturb_each_other(hidden: Path) -> None:
     one, two = opened(hidden), opened(hidden)
-    one.changed(add=["backlash_y"])()
+    one.changed(add="backlash_y")()
     assert two.model.fit.effects == ()
-    two.changed(add=["backlash_x"])()
+    two.changed(add="backlash_x")()
     assert one.model.fit.effects == ("backlash_y",) and two.model.fit.effects == ("backlash_x",)
     kept = {entry.effects for entry in read_history(history_path(hidden)).models}
     assert kept == {(), ("backlash_y",), ("backlash_x",)}
@@ -92,7 +92,7 @@ def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path
     history_path(hidden).write_text("- damaged\n", encoding="utf-8")
     state = opened(hidden)
     assert "is no history of models" in state.remark
-    state.changed(add=["backlash_y"])()
+    state.changed(add="backlash_y")()
     assert state.model.fit.effects == ("backlash_y",) and "in this window only" in state.remark
     assert history_path(hidden).read_text(encoding="utf-8") == "- damaged\n"
 
@@ -101,7 +101,7 @@ def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path
 def test_a_history_that_was_moved_away_is_begun_anew(hidden: Path) -> None:
     state = opened(hidden)
     for name in ("backlash_x", "backlash_y", "warmup_y"):
-        state.changed(add=[name])()
+        state.changed(add=name)()
     history_path(hidden).unlink()
     state.undo()
     kept = read_history(history_path(hidden))
@@ -117,7 +117,7 @@ def test_a_history_that_was_moved_away_is_begun_anew(hidden: Path) -> None:
 def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
     state = opened(hidden)
     with pytest.raises(ModelError, match="backlash_q"):
-        state.changed(add=["backlash_q"])()
+        state.changed(add="backlash_q")()
     assert len(state.models) == 1
 
 
@@ -230,7 +230,7 @@ def test_what_does_not_belong_to_the_rest_is_judged_beside_the_effects(hidden: P
     state.undo()
     assert state.model.aside == {5, 7} and state.model.by_user == {7}
     assert "(backlash_y) fits better" in state.warning, "though it is of one reading more"
-    state.changed(add=["backlash_y"])()
+    state.changed(add="backlash_y")()
     assert state.model.aside == {7}
 
 
@@ -239,7 +239,7 @@ def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) ->
     state = opened(hidden)
     unknown = {"b": {"unit": "m", "low": -1, "high": 1}}
     state.know(FormulaEffect({"id": "mine", "enters": "y", "formula": "b * dir_y", "coefficients": unknown}))
-    state.changed(add=["mine"])()
+    state.changed(add="mine")()
     found = state.model.fit.rms_residual
     state.undo()
     again = opened(hidden)
@@ -265,7 +265,7 @@ def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> Non
     for found, part in zip(state.model.each, (slice(0, count), slice(count, None)), strict=True):
         held = np.array(data["residual"][part])
         np.testing.assert_allclose(held[np.isfinite(held)], 1e6 * found.fit.residuals)
-    state.changed(add=["backlash_y"], aside=state.model.aside - {count + 90})()
+    state.changed(add="backlash_y", aside=state.model.aside - {count + 90})()
     kept = read_history(history_path(hidden, struck))
     assert kept.in_use is not None
     assert [(part.label, part.set_aside, part.kept) for part in kept.in_use.sessions] == [

@@ -100,7 +100,7 @@ def test_what_cannot_be_written_is_said_by_its_name(window: Any, document: Docum
 
 @pytest.mark.long
 def test_the_model_stays_while_something_is_calculated_of_it(window: Any, document: Document, hidden: Path) -> None:
-    window._state.changed(add=["backlash_y"])()
+    window._state.changed(add="backlash_y")()
     window._show("Improve")
     window._work.run("working", IDLE)
     press(document, window._pages["Improve"], "Undo")

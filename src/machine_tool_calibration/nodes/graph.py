@@ -56,20 +56,19 @@ def _interrupted_later() -> Iterator[None]:
             signal.raise_signal(number)
 
 
+Parameters = Mapping[str, Mapping[str, Any]]
+"""Of nodes, by the executable's name, which is also the node's."""
+
+
 class Graph:
     """The processes of one graph, as a context; leaving it ends them all.
 
-    `nodes` are started with these parameters, by the executable's name, which is also the node's; the ROS parameter
-    file of the user's own counts more. Logs and parameter files are in the folder.
+    `nodes` are started with these parameters; the ROS parameter file of the user's own counts more. Logs and parameter
+    files are in the folder.
     """
 
     def __init__(
-        self,
-        nodes: Mapping[str, Mapping[str, Any]],
-        folder: Path,
-        domain: int,
-        namespace: str = "",
-        parameters: Path | None = None,
+        self, nodes: Parameters, folder: Path, domain: int, namespace: str = "", parameters: Path | None = None
     ) -> None:
         self._nodes = dict(nodes)
         self.folder, self._domain, self._parameters = folder, domain, parameters
@@ -228,16 +227,11 @@ def graph_parameters(
 
 
 def managed_nodes(
-    parameters: Mapping[str, Mapping[str, Any]],
-    namespace: str,
-    file: str,
-    on_exit: Callable[..., Any] | None = None,
-    *,
-    autostart: bool,
+    parameters: Parameters, namespace: str, file: str, on_exit: Callable[..., Any] | None = None, *, autostart: bool
 ) -> list[Any]:
     """The actions that start nodes of this package; one that only listens is started again where it fails.
 
-    Parameters by the node's name count more than those of the file (a CalibrationError where it is not there). `/clock`
+    These parameters count more than those of the file (a CalibrationError where it is not there). `/clock`
     is remapped into the namespace: it is absolute, and two graphs would share it. `on_exit` is called when one ends
     that does not only listen. With `autostart` they configure and activate themselves, which a parameter tells them: a
     transition that `launch` asks for is lost, now and then, where the node has not discovered it yet.

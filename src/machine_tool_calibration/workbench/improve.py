@@ -150,9 +150,8 @@ class ImprovePage:
 
     def _changed(self, add: str = "", take: str = "") -> None:
         if add or take:
-            change = self._state.changed(add=[add] if add else [], take=[take] if take else [])
             words = f"with {add}" if add else f"without {take}"
-            self._work.run(f"fitting {words}", change, self._choose_nothing)
+            self._work.run(f"fitting {words}", self._state.changed(add=add, take=take), self._choose_nothing)
 
     def _gone_to(self, number: int) -> None:
         if number:

@@ -17,7 +17,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget import complete
-from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.result import ErrorMap, Result
@@ -52,7 +52,7 @@ class LiveMap:
 
     @staticmethod
     def of_session(
-        session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress | None = None
+        session: Session, variant: str | None, own: Sequence[Effect], progress: Progress | None = None
     ) -> LiveMap:
         """Calculated from readings, without any progress; a CalibrationError if they do not allow it."""
         result = complete.identify(FitRequest((session,), None, variant, (), tuple(own)))
@@ -86,11 +86,7 @@ class Feed:
     """
 
     def __init__(
-        self,
-        own: Sequence[PhysicalEffect] = (),
-        variant: str | None = None,
-        domain: int | None = None,
-        namespace: str = "",
+        self, own: Sequence[Effect] = (), variant: str | None = None, domain: int | None = None, namespace: str = ""
     ) -> None:
         self._own, self._variant = own, variant
         # the ROS domain's id, that of the environment if None; and the namespace of the graph

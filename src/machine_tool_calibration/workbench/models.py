@@ -32,6 +32,11 @@ from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 from machine_tool_calibration.words import say
 
+Numbers = frozenset[int]
+"""Numbers of readings, as `Subject` has them."""
+Deviations = Mapping[int, float | None]
+"""What readings deviate by from what all others predict, m, by number; None where they tell nothing of it."""
+
 
 @dataclass(frozen=True)
 class Model:
@@ -40,13 +45,11 @@ class Model:
     fit: Fit  # to the readings that are not set aside
     step: Step  # what it is on the way
     comparison: Comparison | JointComparison  # it, held against its readings
-    aside: frozenset[int] = frozenset()  # numbers of the readings that are set aside
-    # numbers of the readings that are not to be set aside, however far they stand out
-    kept: frozenset[int] = frozenset()
+    aside: Numbers = frozenset()  # readings that are set aside
+    kept: Numbers = frozenset()  # readings that are not to be set aside, however far they stand out
     number: int | None = None  # in the history; None while it is not kept
-    # the readings that a search found not to belong to the rest, by number: what they deviate by from what all others
-    # predict, m, None where they tell nothing of it. The user set aside what is not among them
-    found: Mapping[int, float | None] = field(default_factory=dict)
+    # readings that a search found not to belong to the rest; the user set aside what is not among them
+    found: Deviations = field(default_factory=dict)
 
     @property
     def each(self) -> tuple[Comparison, ...]:
@@ -54,7 +57,7 @@ class Model:
         return self.comparison.sessions
 
     @property
-    def by_user(self) -> frozenset[int]:
+    def by_user(self) -> Numbers:
         """Numbers of the readings that the user set aside."""
         return self.aside - self.found.keys()
 
@@ -79,8 +82,8 @@ class Subject:
         """Numbers of rows of a session's recording."""
         return np.asarray(rows + self.first[session])
 
-    def deviations(self, outliers: Iterable[Iterable[Outlier]]) -> dict[int, float | None]:
-        """What the readings of each session that stand out deviate by, m, by their number."""
+    def deviations(self, outliers: Iterable[Iterable[Outlier]]) -> Deviations:
+        """Of the readings of each session that stand out."""
         every = zip(self.first, outliers, strict=True)
         return {first + outlier.row: outlier.deviation for first, own in every for outlier in own}
 
@@ -104,26 +107,18 @@ class Subject:
         """The readings and the model, with the effects of the user's own that are known by now."""
         return replace(model.fit.chosen, own=self.own)
 
-    def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> dict[int, float | None]:
+    def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> Deviations:
         """What `mtcal identify` would set aside beside a model: see `Model.found`."""
         chosen = replace(chosen, sessions=self.without(aside, kept).sessions, own=self.own)
         return self.deviations(own.outliers for own in gross_errors(chosen))
 
-    def anew(
-        self, before: Model, words: str, chosen: FitRequest, by_user: frozenset[int], kept: frozenset[int]
-    ) -> Model:
+    def anew(self, before: Model, words: str, chosen: FitRequest, by_user: Numbers, kept: Numbers) -> Model:
         """A model with other effects, beside which other readings may belong to the rest; arguments as of `tried`."""
         found = self.judged(chosen, by_user, kept)
         return self.tried(before, words, chosen, by_user | found.keys(), kept, found)
 
     def tried(
-        self,
-        before: Model | None,
-        words: str,
-        chosen: FitRequest,
-        aside: frozenset[int],
-        kept: frozenset[int],
-        found: Mapping[int, float | None] | None = None,
+        self, before: Model | None, words: str, chosen: FitRequest, aside: Numbers, kept: Numbers, found: Deviations
     ) -> Model:
         """A model, fitted: it has in `words` what the one before has not; a ModelError if the data does not allow it.
 
@@ -134,11 +129,9 @@ class Subject:
         result = complete.identify(chosen)
         rows = tuple(self._rows(k, aside) for k in range(len(self.first)))
         step = Step(before.step if before else None, words, chosen, result, rows)
-        return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept, found=found or {})
+        return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept, found=found)
 
-    def on_the_way(
-        self, entries: Sequence[Entry], prints: Sequence[str], found: Mapping[int, float | None]
-    ) -> list[Model]:
+    def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str], found: Deviations) -> list[Model]:
         """Models of a history, each made from the one before; `prints` are fingerprints of the sessions.
 
         `found` (see `Model.found`) is that beside the first model. What one with effects has not set aside belongs to
@@ -205,7 +198,7 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
         except CalibrationError as error:
             remark = f"the history's model {entry.number} cannot be fitted ({error}): the first one is in use"
     if not models:
-        none = frozenset[int]()
+        none = Numbers()
         models.append(subject.tried(None, "", first, none, none, found))
         if found:
             words = say("step.set_aside", n=len(found))

@@ -9,7 +9,7 @@ from typing import Any
 
 import panel as pn
 
-from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.session.session import distinct_labels
 from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.diagnose import DiagnosePage
@@ -44,7 +44,7 @@ class _Roots(pn.Template):  # type: ignore[misc]
             return super()._init_doc(doc, *more, **named)
 
 
-def window(targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str | None, feed: Feed, live: bool) -> Any:
+def window(targets: Sequence[Path], own: Sequence[Effect], variant: str | None, feed: Feed, live: bool) -> Any:
     """A new window with its own state, as Panel serves it; arguments as of `serve`.
 
     The place of every block of every page is a root of the document: whatever changes in a block, a browser lays out
@@ -58,7 +58,7 @@ def window(targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str 
 
 class _Window:
     def __init__(
-        self, targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str | None, feed: Feed, live: bool
+        self, targets: Sequence[Path], own: Sequence[Effect], variant: str | None, feed: Feed, live: bool
     ) -> None:
         self._document = pn.state.curdoc
         self._state, self._work = State(own, variant), Work()

@@ -14,7 +14,7 @@ from panel.io.server import get_server
 from tornado.httputil import HTTPHeaders
 from tornado.web import ErrorHandler, OutputTransform
 
-from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import CSS
 from machine_tool_calibration.workbench.page import window
@@ -54,7 +54,7 @@ def _of_an_open_page(record: logging.LogRecord) -> bool:
 
 def serve(
     targets: Sequence[Path],
-    own: Sequence[PhysicalEffect] = (),
+    own: Sequence[Effect] = (),
     variant: str | None = None,
     *,
     live: bool = False,

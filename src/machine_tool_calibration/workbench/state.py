@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import entry_of
-from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.progress import Progress, untold
@@ -59,7 +59,7 @@ class Job:
 class State:
     """One window's work. Everything that changes it tells the one who watches it."""
 
-    def __init__(self, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> None:
+    def __init__(self, own: Sequence[Effect] = (), variant: str | None = None) -> None:
         self.paths: tuple[Path, ...] = ()  # of the measurement; several are of one machine
         self.models: list[Model] = []  # on the way from the first one to the one in use
         self.furthest: Model | None = None  # the last of them before any was undone
@@ -125,11 +125,11 @@ class State:
         return bool(found.accepted) or self.subject.deviations(found.set_aside).keys() != model.aside - model.by_user
 
     @property
-    def own(self) -> dict[str, PhysicalEffect]:
+    def own(self) -> dict[str, Effect]:
         """The user's own effects, by id."""
         return {effect.id: effect for effect in (self._given if self._subject is None else self._subject.own)}
 
-    def know(self, effect: PhysicalEffect) -> None:
+    def know(self, effect: Effect) -> None:
         """Take up an effect of the user's own, in the place of one of that name."""
         self._subject = replace(self.subject, own=tuple((self.own | {effect.id: effect}).values()))
 
@@ -145,24 +145,18 @@ class State:
         return Job(partial(opened, paths, self.variant, self._given), take)
 
     def changed(
-        self,
-        *,
-        add: Iterable[str] = (),
-        take: Iterable[str] = (),
-        aside: Iterable[int] | None = None,
-        variant: str | None = None,
+        self, *, add: str = "", take: str = "", aside: Iterable[int] | None = None, variant: str | None = None
     ) -> Job:
-        """Fit the model in use with a change: effects added and taken by their ids, another variant, other readings.
+        """Fit the model in use with a change: an effect added or taken by its id, another variant, other readings.
 
         `aside` are numbers of all readings that are to be set aside; variant and these are those of the model in use if
         absent. What a search had set aside and is put back is kept: no search sets it aside again.
         """
         now = self.model
         rows = now.aside if aside is None else frozenset(aside)
-        added, taken = list(add), set(take)
-        effects = (*(name for name in now.fit.effects if name not in taken), *added)
+        effects = tuple(filter(None, (*(name for name in now.fit.effects if name != take), add)))
         back = now.aside - rows
-        words = [*([f"model {variant}"] if variant else []), *added, *(f"without {name}" for name in taken)]
+        words = list(filter(None, (variant and f"model {variant}", add, take and f"without {take}")))
         for k, what in ((len(rows - now.aside), "set aside"), (len(back), "put back")):
             words += [f"{k} reading{'s' if k > 1 else ''} {what}"] if k else []
         kept = (now.kept | (back & now.found.keys())) - rows
