@@ -106,13 +106,15 @@ def _mapping_from(given: dict[str, Any], description: Path | None = None) -> tup
     """
     from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
     from machine_tool_calibration.session.text import read_yaml
+    from machine_tool_calibration.units import dimension
 
     path = given["mapping"]
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
     content.setdefault("format", FORMAT)
     for key in ("columns", "extras", "values", "origin", "stations", "targets"):
         _update(content, key, dict(given[key]), path)
-    _update(content, "units", _units(given["units"]), path)
+    named = ([part.strip() for part in text.rpartition("=")] for text in given["units"])
+    _update(content, "units", {name if mark else dimension(unit): unit for name, mark, unit in named}, path)
     _update(content, "file", _file_form(given), path)
     content |= {key: given[key] for key in ("table", "sign", "axis", "senses") if given[key]}
     content |= {key: True for key in ("align", "transposed", "actual") if given[key]}
@@ -150,13 +152,6 @@ def _update(content: dict[str, Any], key: str, more: dict[str, Any], path: Path 
         more = {**more, "machine": {**before["machine"], **more["machine"]}}
     if before or more:
         content[key] = {**before, **more}
-
-
-def _units(texts: Sequence[str]) -> dict[str, str]:
-    from machine_tool_calibration.units import dimension
-
-    named = ([part.strip() for part in text.rpartition("=")] for text in texts)
-    return {name if mark else dimension(unit): unit for name, mark, unit in named}
 
 
 @click.command("convert")

@@ -28,12 +28,10 @@ _FARTHEST = 10 * _DAY  # a motion that ends later is a mistake, and simulated ti
 class AxisSimulator(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def configure(self) -> None:
-        """See `ManagedNode`."""
+    def _configure(self) -> None:
         self.site = Site(read_site(self._file))
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         travel = self.site.travel
         rotary = {axis.lower() for axis in self.site.machine.chain.rotary}
         self.limits = {name: self._rotary_limits if name in rotary else self._linear_limits for name in travel}
@@ -67,8 +65,7 @@ class AxisSimulator(ManagedNode):
             self.every(1.0 / self._rate, self._tick)
         self._heartbeat()
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         self._file, self._origin = self.site_and_origin()
         self._jumping, self._rate = self.values("publish_clock", "state_rate")
         if self._jumping and not self.lives_in_simulated_time:

@@ -42,8 +42,7 @@ class Estimator(ManagedNode):
 
     _text = ""
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         self._text, self._is_described_anew = "", False
         self._description: Description | None = None
         self._received = Received()
@@ -65,8 +64,7 @@ class Estimator(ManagedNode):
         self.every(_PERIOD, self._show)
         self._show()
 
-    def deactivate(self) -> None:
-        """See `ManagedNode`."""
+    def _deactivate(self) -> None:
         self.goals.close()
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:

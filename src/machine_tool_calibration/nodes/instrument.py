@@ -50,8 +50,7 @@ class Instrument(ManagedNode):
 
     _simulated: SimulatedSource | None = None
 
-    def configure(self) -> None:
-        """See `ManagedNode`."""
+    def _configure(self) -> None:
         self._site = Site(read_site(self._file))
         self._is_simulated = self._driver == "simulated"
         if not self._is_simulated:
@@ -59,8 +58,7 @@ class Instrument(ManagedNode):
                 raise CalibrationError("a real driver needs real time: use_sim_time must be false")
             load_driver(Path(self._driver))  # refused here, and not when it is wanted
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         self._epoch = uuid.uuid4().hex[:12]
         self._datums = 0
         self._datum: str = ""
@@ -98,8 +96,7 @@ class Instrument(ManagedNode):
             self.every(1.0 / self._batch_rate, self._flow)
         self._show()
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._origin = self.site_and_origin()
         self._driver, self._rate, self._batch_rate = self.values("driver", "rate", "batch_rate")
@@ -300,6 +297,6 @@ class Instrument(ManagedNode):
         """The environment that this node knows itself; with a real driver the sensors publish it."""
         return self._site.sensed(seconds(stamp - self._origin)) if self._simulated is not None else {}
 
-    def deactivate(self) -> None:
+    def _deactivate(self) -> None:
         """Stop what runs beside the node's own thread."""
         self.source.close()

@@ -94,19 +94,16 @@ class _Outlet:
 class Player(ManagedNode):
     """See the module; says on `player/status` where it stands."""
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         self._path, self._rate, self._paused, self._frequency = self.values("bag", "rate", "paused", "clock_rate")
         self._wanted, self._ends, self._delay = self.values("topics", "exit_at_end", "delay")
 
-    def configure(self) -> None:
-        """See `ManagedNode`."""
+    def _configure(self) -> None:
         if not self._path:
             raise CalibrationError("the parameter bag is missing: which recording is to be played?")
         self.bag = BagReader(Path(self._path))
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         self.sent, self.trouble, self.heard = 0, "", False
         self._outlets = self._create_outlets({name for name in self._wanted if name}, with_clock=bool(self._frequency))
         self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if self._frequency else None
@@ -126,7 +123,7 @@ class Player(ManagedNode):
             self.every(1.0 / self._frequency, self._tell_time)
         self._show()
 
-    def deactivate(self) -> None:
+    def _deactivate(self) -> None:
         """Let what was sent arrive."""
         for outlet in self._outlets.values():
             outlet.settle()

@@ -55,12 +55,10 @@ class _Cycle:
 class Probe(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def configure(self) -> None:
-        """See `ManagedNode`."""
+    def _configure(self) -> None:
         self._site = Site(read_site(self._file))
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         self._surface: SimulatedPart | None = None
         self._setups: dict[float, int] = {}
         self._axes: dict[str, float] | None = None
@@ -88,8 +86,7 @@ class Probe(ManagedNode):
         self.every(_CHECK, self._check)
         self._show()
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._origin = self.site_and_origin()
         self._speed, self._form, self._moves = self.values("speed", "form", "services_move_axes")

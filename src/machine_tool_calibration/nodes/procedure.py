@@ -71,24 +71,21 @@ _LEVELS = {State.ERROR: messages.Level.ERROR, State.ABORTED: messages.Level.WARN
 class ProcedureNode(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._arrival_source, self._moves = self.values("procedure", "arrival", "services_move_axes")
         self._position_tolerance, self._maximum_age = self.values("position_tolerance", "environment_age")
         timing = dict(zip(_TIMING, self.values(*_TIMING), strict=True))
         self._timing = Timing(paced=not self._simulated_time, **timing)
 
-    def configure(self) -> None:
-        """See `ManagedNode`."""
+    def _configure(self) -> None:
         if not self._file:
             raise CalibrationError("the parameter procedure must name a procedure's YAML file")
         procedure = read_procedure(Path(self._file))
         self._text = require_readable(description_yaml(procedure.session))
         self._plan = plan(procedure)
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         self.sequencer = Sequencer(self._plan, self._timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, self._maximum_age)
@@ -119,7 +116,7 @@ class ProcedureNode(ManagedNode):
         self._session.publish(String(data=self._text))
         self._show()
 
-    def deactivate(self) -> None:
+    def _deactivate(self) -> None:
         """Nobody will hear of the axes' arrival any more: they stop."""
         if self.sequencer.state is State.RUNNING:
             self._carry_out(self.sequencer.abort(messages.now(self)))

@@ -24,16 +24,15 @@ class Recorder(ManagedNode):
 
     _folder, _bags = "", 0  # the parameter, and how many bags it has begun by it
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         before, (topics, self._everything, self._folder) = self._folder, self.values("topics", "all_topics", "folder")
         self._bags = self._bags if before == self._folder else 0
         self._wanted = {self.resolve_topic_name(name) for name in topics if name}
         names = ("split_size", "split_duration", "flush_period")
         self._split_bytes, self._split_time, self._flush = self.values(*names)
 
-    def activate(self) -> None:
-        """See `ManagedNode`: a recording begins, in a bag of its own; further ones have numbers after the folder."""
+    def _activate(self) -> None:
+        """A recording begins, in a bag of its own; further ones have numbers after the folder."""
         folder = self._folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"
         number = f"_{self._bags + 1}" if self._folder and self._bags else ""
         self._status = StatusTopic(self, "recorder")
@@ -60,7 +59,7 @@ class Recorder(ManagedNode):
         self.every(_SHOW, self._show)
         self.get_logger().info(f"recording to {self.bag.folder}")
 
-    def deactivate(self) -> None:
+    def _deactivate(self) -> None:
         """Take what has come, end the bag and say what it holds."""
         try:
             self._take(last=True)

@@ -31,19 +31,16 @@ _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears wher
 class RotaryPointer(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def settings(self) -> None:
-        """See `ManagedNode`."""
+    def _settings(self) -> None:
         self._file, self._origin = self.site_and_origin()
         self._rate, *limits = self.values("state_rate", "speed", "acceleration")
         self._simulated = self.lives_in_simulated_time
         self._limits = dict.fromkeys(_ANGLES, AxisLimits(*limits))
 
-    def configure(self) -> None:
-        """See `ManagedNode`."""
+    def _configure(self) -> None:
         self.site = Site(read_site(self._file))
 
-    def activate(self) -> None:
-        """See `ManagedNode`."""
+    def _activate(self) -> None:
         self._session: Description | None = None
         self._waiting: PointerCommand | None = None
         self._setup = ""

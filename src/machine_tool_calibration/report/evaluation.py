@@ -6,14 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from machine_tool_calibration.budget.complete import (
-    SEARCH,
-    Conclusions,
-    completed,
-    completed_steps,
-    conclude,
-    declared_contributors,
-)
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
@@ -35,7 +28,7 @@ class Evaluation:
     comparisons: tuple[Comparison, ...]  # the model against the readings of each session
     # the diagnosis of the model, and the models with what it finds; None if it was not asked for
     improvement: Improvement | None = None
-    conclusions: Conclusions | None = None  # what follows from the diagnosis
+    conclusions: complete.Conclusions | None = None  # what follows from the diagnosis
     # of uncertainties, which the result and the steps state; None if there are no contributors
     budget: Budget | None = None
     general: bool = False  # whether its contributors are those of an instrument to begin with
@@ -75,17 +68,17 @@ def evaluate(
     held = compare(result)
     improved = then = budget = verdicts = None
     fitted = fitted_sessions(result)
-    own = declared_contributors(measured.recorded)
+    own = complete.declared_contributors(measured.recorded)
     general = not contributors and not own
     contributors = contributors or own or (known_contributors(measured.recorded)[0] if tolerances else ())
     if diagnosis:
-        improved = improve(measured.chosen, progress=lambda what, share: progress(what, SEARCH * share))
-        improved = completed_steps(improved, contributors, seed)
-        then = conclude(improved.diagnosis, contributors, seed=seed, progress=progress)
+        improved = improve(measured.chosen, progress=lambda what, share: progress(what, complete.SEARCH * share))
+        improved = complete.completed_steps(improved, contributors, seed)
+        then = complete.conclude(improved.diagnosis, contributors, seed=seed, progress=progress)
     if contributors:
         progress("uncertainty budget", 0.0)
         budget = propagate(fitted, contributors, seed=seed)
-        result = completed(result, budget)
+        result = complete.completed(result, budget)
     if tolerances:
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, rule=rule, level=level, budget=budget, seed=seed)

@@ -134,10 +134,9 @@ def new_figure(
     )
     plot.toolbar.logo = None
     plot.title.text_font_size = "12px"
-    for axis in plot.axis:
-        axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_font_size = "12px"
-        axis.major_label_text_font_size = "11px"
+    plot.axis.axis_label_text_font_style = "normal"
+    plot.axis.axis_label_text_font_size = "12px"
+    plot.axis.major_label_text_font_size = "11px"
     plot.grid.grid_line_color = "#ececec"
     if hover:
         plot.add_tools(HoverTool(tooltips=list(hover)))

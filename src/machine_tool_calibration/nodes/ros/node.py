@@ -248,7 +248,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         for name, entry in entries.items():
             self.declare(name, **entry)
         (self.autostart,) = self.values("autostart")
-        self.settings()
+        self._settings()
         self.say_unknown_parameters()
         self._namesakes = 0
         self.every(_LOOK_FOR_NAMESAKES, self._look_for_namesakes)
@@ -277,33 +277,28 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
 
     # --- for nodes to override; they raise CalibrationError where it cannot be done
 
-    def settings(self) -> None:
+    def _settings(self) -> None:
         """Take the values of the parameters; called at the start, and again when it is configured."""
 
-    def configure(self) -> None:
+    def _configure(self) -> None:
         """Read what the parameters name."""
 
-    def activate(self) -> None:
+    def _activate(self) -> None:
         """Begin anew: create topics, services and timers."""
 
-    def deactivate(self) -> None:
+    def _deactivate(self) -> None:
         """Leave in order; topics, services and timers are destroyed afterwards."""
 
     # --- the transitions
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take the parameters as they are now, and read what they name."""
-
-        def configure() -> None:
-            self.settings()
-            self.configure()
-
-        return self._transit("configured", configure)
+        return self._transit("configured", self._settings, self._configure)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Join the graph."""
         self._kept = set(self._entities())
-        outcome = self._transit("activated", self.activate)
+        outcome = self._transit("activated", self._activate)
         self._is_active = outcome == TransitionCallbackReturn.SUCCESS
         if not self._is_active:
             self._leave_graph()
@@ -311,7 +306,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Leave the graph."""
-        self.guarded(self.deactivate)()
+        self.guarded(self._deactivate)()
         self._leave_graph()
         return TransitionCallbackReturn.SUCCESS
 
@@ -337,10 +332,11 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
                 raise CalibrationError(self.fault)
         self._is_starting = False
 
-    def _transit(self, what: str, transition: Callable[[], None]) -> TransitionCallbackReturn:
+    def _transit(self, what: str, *steps: Callable[[], None]) -> TransitionCallbackReturn:
         self.fault = ""
         try:
-            transition()
+            for step in steps:
+                step()
         except Exception as error:
             self.fault = _reason(error)
             if not isinstance(error, CalibrationError):
