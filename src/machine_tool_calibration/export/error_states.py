@@ -71,8 +71,7 @@ def displacement(effect: Effect, fit: Fit) -> Array:
     """
     observations = fit.model.observations
     out = np.zeros((len(observations), 3))
-    term = next((term for term in fit.model.terms if term.name == effect.id), None)
-    if term is None:
+    if (term := next((term for term in fit.model.terms if term.name == effect.id), None)) is None:
         return out
     known = {
         parameter.name: float(parameter.reference + value)

@@ -103,8 +103,7 @@ def draw_fleet(fleet: Machines) -> Figure:
 def _draw_errors(panel: Axes, machines: tuple[Machine, ...]) -> None:
     for cause, (color, marker) in _LOOKS.items():
         own = [(k, one.size) for k, one in enumerate(machines) if (one.causes or ("none",))[0] == cause]
-        shown = [(k, size) for k, size in own if size is not None]
-        if not shown:
+        if not (shown := [(k, size) for k, size in own if size is not None]):
             continue
         panel.errorbar(
             [k for k, _ in shown], [1e6 * size.value for _, size in shown], [2e6 * size.u for _, size in shown],

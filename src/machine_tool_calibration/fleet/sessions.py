@@ -65,8 +65,7 @@ def places(folders: Sequence[Path]) -> list[Place]:
     for folder in folders:
         if not folder.is_dir():
             raise SessionError(f"{folder}: no such folder")
-        own = sorted(_below(folder))
-        if not own:
+        if not (own := sorted(_below(folder))):
             raise SessionError(f"{folder}: no session ({DESCRIPTION_FILE}, {OBSERVATIONS_FILE}) in it or below it")
         for path in own:
             label = str(path.absolute().relative_to(root))

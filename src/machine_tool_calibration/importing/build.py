@@ -174,7 +174,6 @@ def _merged(found: Any, own: Any, source: str) -> list[dict[str, Any]]:
     if not isinstance(own, list) or not all(isinstance(entry, dict) and "id" in entry for entry in own):
         raise SessionError(f"{source}: setups must be a list of entries with an id")
     said = {str(entry["id"]): entry for entry in own}
-    unknown = [name for name in said if name not in {entry["id"] for entry in found}]
-    if unknown:
+    if unknown := [name for name in said if name not in {entry["id"] for entry in found}]:
         raise SessionError(f"{source}: setups names {unknown[0]!r}, of which the table has no row")
     return [{**entry, **said.get(entry["id"], {})} for entry in found]

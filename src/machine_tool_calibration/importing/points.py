@@ -140,8 +140,7 @@ def point_rows(columns: Columns, name: str) -> Rows:
 
 def _nominal(columns: Columns) -> tuple[Array, list[int]]:
     """(rows, 3) nominal coordinates, 0 for an axis that has none, and the axes that have them."""
-    axes = [j for j, axis in enumerate(_AXES) if columns.has(axis)]
-    if not axes:
+    if not (axes := [j for j, axis in enumerate(_AXES) if columns.has(axis)]):
         columns.need(("x",), "the nominal coordinate")
     nominal = np.zeros((len(columns.table), 3))
     for j in axes:
@@ -253,8 +252,7 @@ def _groups(*keys: np.ndarray) -> IntArray:
 
 def _seen(columns: Columns) -> tuple[Array, Array | None]:
     """(n,) distances, and (n, 3) points in the frame of each row's station where the table has them."""
-    given = [role for role in _ACTUAL if columns.has(role)]
-    if not given:
+    if not any(columns.has(role) for role in _ACTUAL):
         columns.need(("range",), "the distance that the station read; or actual_x, actual_y, actual_z from it")
         return columns.number("range"), station_points(columns)
     columns.need(_ACTUAL, "the point in the station's frame")
@@ -286,8 +284,7 @@ def _station(
 
 def _targets(columns: Columns, used: np.ndarray) -> list[dict[str, object]]:
     given = columns.mapping.targets
-    bad = [k for k, name in enumerate(used.tolist()) if name not in given]
-    if bad:
+    if bad := [k for k, name in enumerate(used.tolist()) if name not in given]:
         where, name = columns.table.where(bad[0]), str(used[bad[0]])
         hint = f"say it, as in --target '{name}=120, 0, 80 mm'"
         raise SessionError(f"{where}: where target {name!r} is on the table is not known; {hint}")

@@ -55,8 +55,7 @@ class MapComparison(Answer, Compared):
         """The differences, the motion between the datums and the verdict."""
         yield _differences(self)
         known = [m for m in self.motion if np.isfinite(m.value) and max(abs(m.value), m.u) > ROUNDING]
-        moved = [f"{m.name} {quantity(m.value, m.unit, m.u)}" for m in known]
-        if moved:
+        if moved := [f"{m.name} {quantity(m.value, m.unit, m.u)}" for m in known]:
             yield f"Taken out before, as the datums differ by it: {', '.join(moved)}."
         else:
             yield "Both maps have the same datum at these points: there is no common motion to take out."

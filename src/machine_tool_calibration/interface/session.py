@@ -94,8 +94,7 @@ def load(*sources: Source | Sequence[Source]) -> Measurement:
         SessionError: a file is missing or says what cannot be, or a measurement is given twice; one line that says what
             and where.
     """
-    found = [entry for source in sources for entry in _opened(source)]
-    if not found:
+    if not (found := [entry for source in sources for entry in _opened(source)]):
         raise CalibrationError("nothing to load: give a session folder, a recording, or several of them")
     names = distinct_labels([name for name, _, _ in found])
     refuse_repeated([session for _, session, _ in found], names)

@@ -76,8 +76,7 @@ ERROR_MOTION = "E([XYZABC])([XYZABC])"
 
 def parse_motion(name: str) -> ErrorMotion:
     """Read a name such as EXX or ECY; a ModelError if it is not the name of an error motion."""
-    match = re.fullmatch(ERROR_MOTION, name)
-    if not match:
+    if not (match := re.fullmatch(ERROR_MOTION, name)):
         raise ModelError(f"{name!r} is not an error motion of ISO 230-1, such as EXX or ECY")
     return ErrorMotion(match.group(2), match.group(1))
 

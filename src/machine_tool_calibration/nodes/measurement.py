@@ -239,8 +239,7 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     machine = procedure.session.machine
     travel = {name: list(ends) for name, ends in machine.travel.items()}
     own: dict[str, Any] = {"chain": machine.chain, "travel": travel}
-    sign = getattr(procedure.session, "rotation_sign", None) or machine.rotation_sign
-    if sign is not None:
+    if (sign := getattr(procedure.session, "rotation_sign", None) or machine.rotation_sign) is not None:
         own["rotation_sign"] = sign
     document["machine"] = {**own, **document.get("machine", {})}
     noise = procedure.session.standard_uncertainty.displacement

@@ -98,8 +98,7 @@ class RotaryPointer(ManagedNode):
 
     def _tick(self) -> None:
         # in simulated time the pointer has stood still since it arrived; before the first command it stands where it is
-        stamp = (self._simulated and self._arrival) or messages.now(self)
-        if stamp:
+        if stamp := (self._simulated and self._arrival) or messages.now(self):
             self._publish(stamp)
         self._show()
 

@@ -61,8 +61,7 @@ def inject(effect: Effect, plans: Sequence[str] = PLANS) -> Injected | None:
     """Put an effect into the first plan that shows it clearly, or else best; None where no reading depends on it."""
     best: tuple[float, str, Fit, Array] | None = None
     for plan in plans:
-        made = _made(effect, plan)
-        if made is None:
+        if (made := _made(effect, plan)) is None:
             continue
         fit, change = made
         left = _left(fit, change)
@@ -107,8 +106,7 @@ def _made(effect: Effect, plan: str) -> tuple[Fit, Array] | None:
         except CalibrationError:
             return None
     else:
-        own = _own_change(effect, model)
-        if own is None:
+        if (own := _own_change(effect, model)) is None:
             return None
         readings = clean.readings
         moved = readings.displacement.copy()

@@ -168,16 +168,14 @@ def what_to_measure(diagnosis: Diagnosis, progress: Progress = untold) -> Advice
         except (CalibrationError, np.linalg.LinAlgError):
             return None
 
-    now = sensed(chosen)
-    if now is None:
+    if (now := sensed(chosen)) is None:
         return Advice(dominant=limits)
     options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
     seen = list[tuple[Option, Sensed]]()
     for number, (k, option) in enumerate(options):
         progress("what to measure next", number / len(options))
         further = chosen.instead(k, option.session)
-        found = sensed(further, k, first_row=option.first_row, turned=option.turned)
-        if found is not None:
+        if (found := sensed(further, k, first_row=option.first_row, turned=option.turned)) is not None:
             named = option if labels is None else replace(option, measure=together((labels[k], option.measure), ": "))
             seen.append((named, found))
     separations = []

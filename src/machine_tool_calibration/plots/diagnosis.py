@@ -73,8 +73,7 @@ def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequenc
 
 def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
     """Added-variable plot: a slope of one through the points if the effect is the cause."""
-    name = next((r.name for r in diagnosis.ranked if r.name in changes), None)
-    if name is None:
+    if (name := next((r.name for r in diagnosis.ranked if r.name in changes), None)) is None:
         panel.set_axis_off()
         return
     explained = 1e6 * changes[name].explained
@@ -139,8 +138,7 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
 def _acts_through(diagnosis: Diagnosis, known: Collection[str]) -> list[str]:
     """Covariates through which the first accepted effect acts, as it states itself."""
     first = diagnosis.accepted[0] if diagnosis.accepted else None
-    effect = next((r.candidate.effect for r in diagnosis.ranked if r.name == first), None)
-    if effect is None:
+    if (effect := next((r.candidate.effect for r in diagnosis.ranked if r.name == first), None)) is None:
         return []
     # Where no times were recorded the order of the readings serves.
     needed = [name if name in known else name.replace("time", "order") for name in effect.covariates or effect.needs]

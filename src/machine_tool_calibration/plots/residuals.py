@@ -110,8 +110,7 @@ def planes(position: Array, direction: Array) -> list[tuple[int, int]]:
     """Pairs of axes in which there is something to see, for maps of residuals at (n, 3) positions and directions."""
     span = np.ptp(position, axis=0)
     pairs = [(0, 1), (0, 2), (1, 2)]
-    wide = [(a, b) for a, b in pairs if min(span[a], span[b]) > _WIDE * span.max() > 0]
-    if wide:
+    if wide := [(a, b) for a, b in pairs if min(span[a], span[b]) > _WIDE * span.max() > 0]:
         return wide
     # A line, or readings at one place: the pair that shows its axis and what is sensed.
     seen = span / max(float(span.max()), 1e-12) + 0.5 * np.abs(direction).max(axis=0)

@@ -150,8 +150,7 @@ class Sequencer:
 
     def _next(self, now: int, wall: float, *, resumed: bool = False) -> list[events.Action]:
         """Go to the next target, or end."""
-        step = self.step
-        if step is None:
+        if (step := self.step) is None:
             self.state, self.message = State.FINISHED, f"{self.done} readings"
             return self._forget()
         if step.datum:
@@ -430,7 +429,6 @@ class Sequencer:
 
 def _is_elsewhere(step: Step, event: events.Captured) -> bool:
     """Whether a probe has touched another point than the step's, or at another angle: it moves the axes itself."""
-    point = event.columns.get("point_index")
-    if point is None:
+    if (point := event.columns.get("point_index")) is None:
         return False
     return point != step.target or abs(event.columns.get("c", 0.0) - step.position.get("c", 0.0)) > 1e-6

@@ -312,8 +312,7 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
     A SessionError: a target is outside the machine's travel or names an axis that the machine does not have, the path
     is not one of the method, or there are more readings than `most`.
     """
-    maker = method_spec(procedure.session.method).steps
-    if maker is None:
+    if (maker := method_spec(procedure.session.method).steps) is None:
         raise SessionError(f"{procedure.source}: no procedure makes a {procedure.session.method} session")
     session = procedure.session
     has_pointer = isinstance(session, sessions.TrackingInterferometer) and session.pointing == "open_loop"

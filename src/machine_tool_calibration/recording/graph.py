@@ -72,8 +72,7 @@ _TYPES = {topic.name: topic.type for topic in GRAPH_TOPICS if topic.name in (SES
 def find_topics(path: Path, topics: Mapping[str, Topic], names: Mapping[str, str] | None = None) -> dict[str, str]:
     """The bag's `session` and `reading`, or `names` by role; a RecordingError: one is missing, or it is not clear."""
     names = dict(names or {})
-    unknown = [role for role in names if role not in _TYPES]
-    if unknown:
+    if unknown := [role for role in names if role not in _TYPES]:
         raise RecordingError(f"{path}: unknown role {unknown[0]!r} of a topic; the roles are {', '.join(_TYPES)}")
     candidates = {role: _candidates(path, role, topics, names.get(role)) for role in _TYPES}
     for role, found in candidates.items():

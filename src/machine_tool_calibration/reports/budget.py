@@ -182,11 +182,9 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
     more = {_quantity_name(one): bool(above[one.index]) for one in reversed(sums) if one.index is not None}
     some = [_quantity_name(one) for one in sums if above[one.quantity.members].any()]
     for key, is_largest in (("budget.readings_show_more", True), ("budget.readings_show_more_some", False)):
-        names = [name for name in dict.fromkeys(some) if more.get(name, True) is is_largest]
-        if names:
+        if names := [name for name in dict.fromkeys(some) if more.get(name, True) is is_largest]:
             yield say(key, names=together(names, ", "))
-    taken = [named("contributor", line.name) for line in budget.lines if line.how == "draws"]
-    if taken:
+    if taken := [named("contributor", line.name) for line in budget.lines if line.how == "draws"]:
         own = f"{100 / math.sqrt(2 * DRAWS):.0f}"
         yield say("budget.drawn", n=DRAWS, share=own, names=together(taken, ", "))
     if any(line.name == KNOWN for line in budget.lines):

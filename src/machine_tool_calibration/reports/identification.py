@@ -103,8 +103,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     if document.get("uncertainty") != "budget" and not known:
         motions = [(title, say("result.without", text=text)) for title, text in motions]
     rows += motions
-    missing = document.get("not_determined") or []
-    if missing:
+    if missing := document.get("not_determined") or []:
         names = ", ".join(entry["name"] for entry in missing[:6])
         rows.append((say("text.not_determined"), f"{names}{' …' if len(missing) > 6 else ''}"))
     return rows

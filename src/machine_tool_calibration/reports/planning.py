@@ -146,8 +146,7 @@ def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
     )
     columns = (*heads("setup", "readings", "time"), *(effects or heads("U_largest")))
     yield TextTable(say("enough.title"), columns, rows, "" if effects else say("enough.coordinate"))
-    first = next((one for one in stages if one.enough), None)
-    if first is None:
+    if (first := next((one for one in stages if one.enough), None)) is None:
         yield say("enough.never")
     else:
         yield say("enough.after", setup=first.setup, time=duration(first.seconds))

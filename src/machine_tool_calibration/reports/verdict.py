@@ -283,8 +283,7 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
         words.append(say("diagnosis.predicted", shares=together(shares, ", ")))
     if not found.plausible:
         words.append(say("diagnosis.implausible"))
-    separation = next((s for s in advice.separations if s.effects[0] == name), None)
-    if separation is not None:
+    if (separation := next((s for s in advice.separations if s.effects[0] == name), None)) is not None:
         words.append(_lookalike(diagnosis, separation))
     return together(words)
 

@@ -104,8 +104,7 @@ class Collector:
 
     def _labels(self, column: str, values: Array, ids: list[str]) -> np.ndarray:
         whole = np.isfinite(values) & (values == np.floor(values)) & (values >= 0) & (values < len(ids))
-        bad = first_true(~whole & ~np.isnan(values))
-        if bad is not None:
+        if (bad := first_true(~whole & ~np.isnan(values))) is not None:
             raise SessionError(f"{self._place.row(bad)}: {column} is {values[bad]:g}, not 0 to {len(ids) - 1}")
         table = np.array([*ids, ""], dtype=np.str_)
         return table[np.where(whole, np.nan_to_num(values), len(ids)).astype(np.int64)]

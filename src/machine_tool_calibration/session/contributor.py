@@ -100,8 +100,7 @@ class Contributor(Record):
 
 def _check_names(lines: tuple[Contributor, ...]) -> tuple[Contributor, ...]:
     names = [line.name for line in lines]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+    if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"contributors has the name {twice[0]!r} twice")
     return lines
 

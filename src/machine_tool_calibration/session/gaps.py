@@ -68,8 +68,7 @@ def spikes(columns: Mapping[str, Array], name: str) -> IntArray:
 def without_gaps(session: Session) -> Session:
     """The session with such columns filled, and with directions of approach that were not recorded."""
     columns = session.readings.columns
-    more = {**filled(columns), **approaches(session)}
-    if not more:
+    if not (more := {**filled(columns), **approaches(session)}):
         return session
     readings = replace(session.readings, columns={**columns, **more})
     return replace(session, readings=readings, recorded=session.as_recorded)

@@ -124,8 +124,7 @@ def _record_in(annotation: Any) -> Any:
     if hasattr(annotation, "model_fields"):
         return annotation
     for inner in get_args(annotation):
-        found = _record_in(inner)
-        if found is not None:
+        if (found := _record_in(inner)) is not None:
             return found
     return None
 

@@ -298,8 +298,7 @@ def places_among(labels: np.ndarray, ids: Sequence[str]) -> IntArray:
 
 def _known_places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
     index = places_among(labels, ids)
-    bad = first_true(index < 0)
-    if bad is not None:
+    if (bad := first_true(index < 0)) is not None:
         name = str(labels[bad])
         what = f"unknown {column} {name!r}" if name else f"{column} is empty"
         raise SessionError(f"{place.row(bad)}: {what}; {PurePath(place.description).name} has {_listed(ids)}")

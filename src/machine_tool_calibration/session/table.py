@@ -90,8 +90,7 @@ def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
         if columns is None or not block:
             continue
         fields = _fields_per_line(block)
-        first = first_true((fields != len(columns)) & (fields != 0))
-        if first is not None:
+        if (first := first_true((fields != len(columns)) & (fields != 0))) is not None:
             row = rows + first - int(np.count_nonzero(fields[:first] == 0))
             where = f"{source} row {row} (line {line + first + 1})"
             if fields[first] < 0:
@@ -268,8 +267,7 @@ def _numeric(layout: Layout, name: str, column: list[str] | Array) -> Array | No
             return None
         if bad:
             raise SessionError(f"{layout.where(bad[0])}: {name} is {_shown(column[bad[0]])}, not a number")
-    infinite = first_true(np.isinf(values))
-    if infinite is not None:
+    if (infinite := first_true(np.isinf(values))) is not None:
         raise SessionError(f"{layout.where(infinite)}: {name} is infinite")
     return values
 
@@ -284,8 +282,7 @@ def _number(text: str) -> float:
 
 def _label(layout: Layout, name: str, column: list[str] | Array) -> np.ndarray:
     texts = np.asarray(column, dtype=np.str_)
-    long = first_true(np.char.str_len(texts) > _LONGEST_LABEL)
-    if long is not None:
+    if (long := first_true(np.char.str_len(texts) > _LONGEST_LABEL)) is not None:
         raise SessionError(f"{layout.where(long)}: {name} is longer than {_LONGEST_LABEL} characters")
     return texts
 

@@ -81,8 +81,7 @@ class VirtualMachine:
         point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
         for axis in reversed(self._directions):
             along = at[:, "XYZ".index(axis)]
-            error = self._errors(axis, along, errors)
-            if error is not None:
+            if (error := self._errors(axis, along, errors)) is not None:
                 point = rotate(point, error[:, 3:]) + error[:, :3]
             if shift is not None and axis in shift:
                 along = along + shift[axis]
@@ -106,8 +105,7 @@ class VirtualMachine:
         at = np.atleast_2d(np.asarray(command, float))
         turned = np.broadcast_to(np.asarray(vector, float), at.shape)
         for axis in reversed(self._directions):
-            error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
-            if error is not None:
+            if (error := self._errors(axis, at[:, "XYZ".index(axis)], errors)) is not None:
                 turned = rotate(turned, error[:, 3:])
         return turned
 

@@ -126,8 +126,7 @@ def build_machine(
     random: Amplitudes | None = None,
 ) -> VirtualMachine:
     """The machine of a spec, with arguments for what it lacks; a CalibrationError: no chain, or unfit tables."""
-    text = spec.chain or chain
-    if text is None:
+    if (text := spec.chain or chain) is None:
         raise ModelError("the machine needs a chain, such as w-C-b-Y-X-Z-t")
     try:
         parsed = Chain.parse(text)

@@ -61,8 +61,7 @@ class RotaryPlan(plan.Plan):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        unknown = [name for name in self.hidden if name not in self.marks()]
-        if unknown:
+        if unknown := [name for name in self.hidden if name not in self.marks()]:
             raise ValueError(f"hidden names target {unknown[0]!r}, which is none of {', '.join(self.marks())}")
         if not self.chain:
             object.__setattr__(self, "chain", f"w-{self.axis}-b-t")

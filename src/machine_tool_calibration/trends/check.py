@@ -144,8 +144,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
     between = between_sessions(history)
     found = [_part(earlier, now, name, between.get(name, Spread())) for name in earlier.parts if name in now.parts]
     found.append(_position(earlier, now, between.get(POSITION_ERROR, Spread())))
-    changes = [one for one in found if one is not None]
-    if not changes:
+    if not (changes := [one for one in found if one is not None]):
         raise CalibrationError(f"{earlier.label} and {now.label} have no error in common that both determine")
     order = np.argsort([one.p_value for one in changes], kind="stable")
     each = np.array([changes[k].p_value for k in order]) * np.arange(len(changes), 0, -1)

@@ -135,11 +135,9 @@ def entry_of(
     nothing says which machine it was, or when, or it would be measured tomorrow.
     """
     about, origin = session.description.about, result["provenance"]
-    name = (machine or name_of_machine(about)).strip()
-    if not name:
+    if not (name := (machine or name_of_machine(about)).strip()):
         raise CalibrationError(f"{label}: nothing says which machine it is: `about: {{machine: …}}`, or --machine")
-    told = date or about.get("date") or about.get("time")
-    if not told:
+    if not (told := date or about.get("date") or about.get("time")):
         raise CalibrationError(f"{label}: nothing says when it was measured: `about: {{date: 2026-05-04}}`, or --date")
     when = date_of(str(told), label)
     if _moment(when) > datetime.datetime.now(datetime.UTC) + _DAY:

@@ -182,8 +182,7 @@ class LineParser:
         """What a line that came at a time, s, says; None if it is garbage."""
         if self._broken is not None and self._broken.fullmatch(text):
             return Sample(time, None, beam=False)
-        match = self._pattern.fullmatch(text)
-        if match is None:
+        if (match := self._pattern.fullmatch(text)) is None:
             return None
         fields = match.groupdict()
         beam = "beam" not in fields or fields["beam"] in self._line.beam_ok

@@ -51,12 +51,10 @@ def _check_missing(session: Session, place: Place) -> None:
 
 
 def _check_time(session: Session, place: Place) -> None:
-    time = session.readings.columns.get("time")
-    if time is None:
+    if (time := session.readings.columns.get("time")) is None:
         return
     known = np.flatnonzero(np.isfinite(time))
-    back = first_true(np.diff(time[known]) < 0)
-    if back is not None:
+    if (back := first_true(np.diff(time[known]) < 0)) is not None:
         before, at = known[back : back + 2]
         where = place.row(session.readings.row[at])
         raise SessionError(f"{where}: time runs backwards, from {time[before]:.9g} s to {time[at]:.9g} s")
@@ -65,8 +63,7 @@ def _check_time(session: Session, place: Place) -> None:
 def _check_doubled(session: Session, place: Place) -> None:
     """The same reading twice, to the last column: a line that was copied, not a reading that was repeated."""
     readings = session.readings
-    time = readings.columns.get("time")
-    if time is None:
+    if (time := readings.columns.get("time")) is None:
         return
     # Only readings at the same time can be the same; what is missing in both is equal in both.
     at_time = groups(time)

@@ -97,8 +97,7 @@ def _hardly_by_chance(others: Array, count: int, sigma: float) -> bool:
 
 def _beside(session: Session) -> Iterator[str]:
     for name, (low, high) in session.description.machine.travel.items():
-        values = session.readings.columns.get(name.lower())
-        if values is None:
+        if (values := session.readings.columns.get(name.lower())) is None:
             continue
         over = _BEYOND_TRAVEL * (high - low)
         off = np.flatnonzero((values < low - over) | (values > high + over))

@@ -119,8 +119,7 @@ def _angles(session: Session, place: Place) -> None:
 
 def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
-    deviations = spec_of(session).reads_deviations
-    if deviations:
+    if deviations := spec_of(session).reads_deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
         if typical > 0.02:
             if (like := _like_places(session, typical)) is not None:
