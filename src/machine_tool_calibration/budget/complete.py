@@ -174,6 +174,5 @@ def _of_circle(one: Mapping[str, Any], more: Mapping[str, Array], before: Mappin
 
 
 def _range(one: Mapping[str, Any], more: Mapping[str, Array]) -> dict[str, Any]:
-    """An error motion value by ISO 230-7."""
     square = more.get(f"{one['motion']}_range")
     return dict(one) if square is None else {**one, "U": float(K * _grown(one["U"] / K, square[0]))}

@@ -236,7 +236,6 @@ class _Conformity:
         return _Figure(VOLUMETRIC, q.unit, members, _largest_length(len(measured)), signed=False)
 
     def verdict(self, figure: _Figure, tolerance: float, rule: str, level: float) -> Verdict:
-        """Probability and decision of one figure."""
         name, unit, members = figure.name, figure.unit, figure.members
         values, spread = self.numbers.value[members], self.u[members]
         if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
@@ -304,7 +303,6 @@ class _Conformity:
         return out
 
     def why(self, name: str) -> str:
-        """Why a figure has no value here."""
         joint, error_map = self.fitted.joint, self.fitted.error_map
         told = [entry for model in joint.assembly.models for entry in model.left_out] + list(error_map.not_determined)
         for entry in told:

@@ -244,7 +244,6 @@ class _Propagation:
         return np.concatenate([mapped, figures.value])
 
     def budget(self, draws: int) -> Budget:
-        """All contributors one after the other."""
         lines = []
         for k, own in enumerate(self.patterns):
             self.progress(own.contributor.name, k / len(self.patterns))
@@ -257,7 +256,6 @@ class _Propagation:
         return Budget(self.published, tuple(lines), self.fitted.provenance, drawn)
 
     def line(self, own: Pattern) -> Line:
-        """One contributor."""
         squares = np.zeros(len(self.base))
         if own.curvature.any():
             squares = (self.values(own.mean) - self.base) ** 2

@@ -29,7 +29,6 @@ def _days(value: Any) -> Any:
 
 
 def _told(entries: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Entries of a list that are filled in."""
     return tuple(one for one in entries if getattr(one, "name", one))
 
 

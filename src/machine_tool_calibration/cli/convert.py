@@ -27,7 +27,6 @@ _FIRST = 6  # readings that are shown
 
 
 def _preview_document(imported: Imported) -> dict[str, Any]:
-    """The preview as a document: what was read from where, the first readings, and remarks."""
     from machine_tool_calibration.session.folder import readings_frame
 
     return {
@@ -41,7 +40,6 @@ def _preview_document(imported: Imported) -> dict[str, Any]:
 
 
 def _preview_parts(imported: Imported) -> Iterator[Part]:
-    """The preview for people: what was read, the first readings and the text of session.yaml."""
     from machine_tool_calibration.session.folder import readings_frame
     from machine_tool_calibration.session.parse import description_yaml
 
@@ -92,7 +90,6 @@ _foreign_options = shared.options(*_declared())
 
 
 def _file_form(given: dict[str, Any]) -> dict[str, Any]:
-    """What the options say of how a table's text is written."""
     form = {key: given[key] or None for key in _FORM}
     form["decimal"] = {"comma": ",", "point": "."}.get(given["decimal"] or "")
     form["header"] = False if given["no_header"] else None

@@ -48,7 +48,6 @@ class Shown(ABC):
         return f"<{type(self).__name__}: {self.headline}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
         return f"<p><b>{escape(self.headline)}</b></p>\n<pre>{escape(self.report())}</pre>"
 
 

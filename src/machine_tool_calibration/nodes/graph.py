@@ -157,7 +157,6 @@ class Graph:
 
 
 def _ending(status: int) -> str:
-    """How a process ended, by its exit status."""
     return f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
 
 

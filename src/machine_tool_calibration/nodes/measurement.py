@@ -252,7 +252,6 @@ def _inputs(output: Path) -> tuple[Path, Path]:
 
 
 def _nodes(setting: Setting, procedure: Procedure) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes to be started."""
     copy, site = _inputs(setting.output)
     method, bag = procedure.session.method, (setting.output / "bag").resolve()
     parameters = graph_parameters(

@@ -78,14 +78,12 @@ class _Outlet:
     unacknowledged: int = 0
 
     def send(self, data: bytes) -> None:
-        """Publish one serialized message."""
         if self.reliable and self.unacknowledged >= self.depth // 2:
             self.settle()
         self.publisher.publish(data)
         self.unacknowledged += 1
 
     def settle(self) -> None:
-        """Wait until all subscribers have what was sent."""
         if self.reliable and self.publisher.get_subscription_count():
             self.publisher.wait_for_all_acked(_ACKNOWLEDGE)
         self.unacknowledged = 0
@@ -151,7 +149,6 @@ class Player(ManagedNode):
         return outlets
 
     def _tick(self) -> None:
-        """Send all that is due."""
         try:
             now = time.monotonic_ns()
             if self._awaits_subscribers(now):

@@ -65,6 +65,5 @@ def usage(node: str, about: str) -> str:
 
 
 def _rows(page: Path, heading: str) -> list[str]:
-    """Lines of the table in a section."""
     section = page.read_text(encoding="utf-8").split(heading, 1)[1].split("\n## ", 1)[0]
     return [line for line in section.splitlines() if line.startswith("|")]

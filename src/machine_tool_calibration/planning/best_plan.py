@@ -243,7 +243,6 @@ class _Forecasts:
         return error_map(joint.fits[0]).uncertainty
 
     def quality(self, choice: Choice) -> PlanQuality:
-        """What a plan costs and determines."""
         offered, weights = self.offered, self.offered.weights(choice)
         variances, (_, widened) = self.candidates.variances(weights), self._forecast(choice)
         variances = np.maximum(variances, widened**2 * self.candidates.by_scatter(weights))

@@ -98,8 +98,6 @@ def effect_sizes(joint: JointFit, effects: Collection[str]) -> Known:
 
 @dataclass(frozen=True)
 class _Information:
-    """What the readings of one candidate say."""
-
     seen: IntArray  # (k,) places of the shared unknowns that they see
     local: Array  # (P, d, d) products of the columns of the points' own unknowns
     mixed: Array  # (P, d, k) of these with the shared ones

@@ -227,7 +227,6 @@ class _Exchange:
         self.repeats = sorted({*offered.choices.repeats, offered.present.repeats})
 
     def allowed(self, choice: Choice) -> bool:
-        """Whether a plan keeps to numbers and time."""
         return (
             0 < len(choice.setups) <= self.most_setups
             and 0 < len(choice.targets) <= self.most_targets
@@ -278,7 +277,6 @@ class _Exchange:
         return [Choice(**{**vars(now), which: _with(rest, k)}) for k in self.idle(now, which)]
 
     def resized(self, now: Choice, which: str) -> list[Choice]:
-        """One setup or target more or less."""
         chosen: tuple[int, ...] = getattr(now, which)
         free = [k for k, number in enumerate(chosen) if number not in self.always[which]]
         others = [_with(chosen, k) for k in self.idle(now, which)] + [_without(chosen, k) for k in free]

@@ -101,11 +101,9 @@ class _Map:
 
     @property
     def good(self) -> BoolArray:
-        """Points that are determined."""
         return np.asarray(np.isfinite(self.error).all(axis=1))
 
     def take(self, keep: BoolArray) -> Self:
-        """Some of the points."""
         return replace(self, points=self.points[keep], error=self.error[keep], uncertainty=self.uncertainty[keep])
 
 

@@ -131,8 +131,6 @@ class Motion(Record):
 
 
 class _File(Record):
-    """The top level of the file."""
-
     format: Literal["mtcal-procedure/1"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")] = "measurement"
     session: dict[str, Any]

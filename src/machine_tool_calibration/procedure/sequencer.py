@@ -149,7 +149,6 @@ class Sequencer:
     # --- one step
 
     def _next(self, now: int, wall: float, *, resumed: bool = False) -> list[events.Action]:
-        """Go to the next target, or end."""
         if (step := self.step) is None:
             self.state, self.message = State.FINISHED, f"{self.done} readings"
             return self._forget()

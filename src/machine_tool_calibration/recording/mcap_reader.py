@@ -224,7 +224,6 @@ class McapReader:
                 yield channel, entry
 
     def _walk(self, skip: Collection[int], wanted: Collection[int] | None) -> Iterator[RawMessage | RawRecord]:
-        """Messages and registrations, in and out of chunks."""
         with reading(self.path, RecordingError), self.path.open("rb") as stream:
             for record in records(self.path, stream, skip=skip):
                 if record.opcode == Opcode.DATA_END:

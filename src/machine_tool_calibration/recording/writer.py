@@ -55,7 +55,6 @@ class _File:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close it as it is."""
         os.close(self._handle)
 
 

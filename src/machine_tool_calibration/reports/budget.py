@@ -148,7 +148,6 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
 
 
 def _most(budget: Budget, one: Sum) -> str:
-    """The two contributors that give most."""
     shares = sorted(zip(budget.lines, one.shares, strict=True), key=lambda pair: -pair[1].share)[:2]
     told = [(line_name(line), 100.0 * part.share) for line, part in shares]
     return together((say("budget.share", name=n, share=f"{p:.0f}") for n, p in told if p >= _LEAST_NAMED), ", ")

@@ -152,7 +152,6 @@ def mark_not_determined(
 
 
 def _uncertain(name: str, factor: float = _MICRO) -> Callable[[_Row], str]:
-    """A column with its expanded uncertainty."""
     return lambda row: plus_minus(row[name], row[f"{name}_u"], factor)
 
 

@@ -37,7 +37,6 @@ _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
 
 
 def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
-    """Every coefficient of the effects found: what it is, and its size."""
     observations, known = diagnosis.fits[0].fits[0].model.observations, _effects(diagnosis)
     found = [(name, p) for name in diagnosis.accepted if name in changes for p in changes[name].parameters]
     meanings: dict[str, str] = {}
@@ -88,7 +87,6 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
 
 
 def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
-    """All effects that were looked for."""
     return {f.name: f.candidate.effect for f in diagnosis.search.findings if f.candidate.effect is not None}
 
 

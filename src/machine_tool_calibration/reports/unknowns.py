@@ -56,7 +56,6 @@ def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
 
 
 def _owner(unknown: Parameter) -> str:
-    """Of what it is, and of which session."""
     if unknown.kind is Kind.OTHER:
         return unknown.name
     if not unknown.session:

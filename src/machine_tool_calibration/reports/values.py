@@ -94,7 +94,6 @@ def _figures(run: Mapping[str, Any]) -> TextTable:
 
 
 def _figures_of_method(found: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Figures that a method names itself, one a row."""
     rows = tuple((one["setup"], one["name"], _said(one["value"], one["U"]), f"µ{one['unit']}") for one in found)
     standards = together(dict.fromkeys(one["standard"] for one in found), ", ")
     return TextTable(say("iso230.figures", standards=standards), heads("setup", "figure", "value", "unit"), rows)

@@ -65,7 +65,6 @@ class DiagnosePage:
         )
 
     def _plots(self, source: ColumnDataSource) -> tuple[Any, ...]:
-        """The ranking, the pattern over the residuals, and both against each other."""
         bars, new = self._bars, partial(look.new_figure, height=330)
         self._ranking = new("Probability that it is missing", "", "", y_range=FactorRange(), x_range=(0, 1.15))
         self._ranking.hbar("effect", 0.7, "probability", source=bars, color="color", nonselection_alpha=0.5)

@@ -63,7 +63,6 @@ class ImprovePage:
         )
 
     def _draw_steps(self) -> None:
-        """The error from model to model."""
         self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
         self._fall = look.new_figure("", "", "µm", x_range=FactorRange(), height=_HEIGHT)
         for name, color, marker, label in (

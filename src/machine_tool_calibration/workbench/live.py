@@ -106,7 +106,6 @@ class LivePage:
         pn.state.curdoc.add_periodic_callback(self._look, _PERIOD)
 
     def _plots(self) -> None:
-        """Readings, what the map leaves of them, its uncertainty, and itself."""
         self._points = ColumnDataSource({name: [] for name in _COLUMNS})
         self._left = ColumnDataSource({name: [] for name in _COLUMNS})
         self._readings = look.new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
@@ -154,7 +153,6 @@ class LivePage:
         self._say_progress()
 
     def _say_progress(self) -> None:
-        """How far the measurement is, and what became of its readings."""
         heard = self._feed.heard
         procedure, count = heard.newest("procedure"), self._known
         captured, total = (procedure.number(key) if procedure else 0 for key in ("captured", "total"))
@@ -281,7 +279,6 @@ class LivePage:
             self._map.show(found.error_map, self._plane.value, factor, "Map of the errors")
 
     def _offer(self) -> None:
-        """A button for each service that is there."""
         heard = self._feed.heard
         if (heard.offers, heard.refusing) == self._offers:
             return

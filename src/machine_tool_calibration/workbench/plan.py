@@ -187,7 +187,6 @@ class PlanPage:
         )  # fmt: skip
 
     def _plots(self, readings: Readings) -> None:
-        """Where is read now and then, and how uncertain the map is."""
         self._new = ColumnDataSource({name: [] for name in ("x", "y", "z", "setup", "color")})
         self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
         self._where = look.new_figure("What is measured", "", "", height=330, hover=_HOVER, match_aspect=True)

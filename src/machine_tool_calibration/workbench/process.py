@@ -94,7 +94,6 @@ class _Process:
 
     @classmethod
     def free(cls) -> _Process:
-        """One that has nothing to do."""
         try:
             waiting = cls._idle.pop()
         except IndexError:
@@ -109,7 +108,6 @@ class _Process:
             self._idle.append(self)
 
     def kill(self) -> None:
-        """End it at once."""
         self._process.kill()
         self._process.join()
 

@@ -377,7 +377,6 @@ def _change_state(change: Callable[[Any, Any], Any], request: Any, response: Any
 
 
 def _reason(error: Exception) -> str:
-    """One short line."""
     text = str(error) if isinstance(error, CalibrationError) else f"{type(error).__name__}: {error}"
     line = " ".join(text.split())
     return line if len(line) <= _REASON_LENGTH else f"{line[:_REASON_LENGTH]}…"

@@ -222,7 +222,6 @@ _Part = tuple[Feature, list[outline.Contour], outline.Touched, float]
 
 
 def _parts(feature: Feature, unit: float, folder: Path) -> Iterator[_Part]:
-    """A feature's contours with their points."""
     if isinstance(feature, Points):
         normal = np.array(feature.normals)
         touched = outline.Touched(np.array(feature.positions) * unit, normal / np.linalg.norm(normal, axis=1)[:, None])
