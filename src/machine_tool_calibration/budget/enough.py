@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a measurement tells enough: the map's largest U, or whether named effects are there."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -34,7 +32,7 @@ class Until:
     told: tuple[str, ...] = ()  # effects that are to be found, or not to be there
 
     @classmethod
-    def parse(cls, text: str, own: Sequence[Effect] = ()) -> Until:
+    def parse(cls, text: str, own: Sequence[Effect] = ()) -> Self:
         """From `U=2um` or `told=backlash_y,…`; a SessionError: not of that form, a ModelError: an unknown effect."""
         name, _, value = (part.strip() for part in text.partition("="))
         if name == "U" and value:

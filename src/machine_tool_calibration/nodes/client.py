@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A program's own node beside a graph, live or replayed: hears what its nodes publish, and calls their services."""
 
-from __future__ import annotations
-
 import re
 import signal
 import threading
@@ -11,7 +9,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -125,7 +123,7 @@ class Client(AbstractContextManager["Client"]):
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def listen(self) -> Client:
+    def listen(self) -> Self:
         """Hear from now on in a thread of its own."""
         self._thread.start()
         return self

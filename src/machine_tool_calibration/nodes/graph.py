@@ -4,8 +4,6 @@
 Launch files need parameters of the nodes, arguments that are checked before anything is started, and managed nodes.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os
@@ -19,7 +17,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
@@ -75,7 +73,7 @@ class Graph:
         self.namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
-    def __enter__(self) -> Graph:
+    def __enter__(self) -> Self:
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
             for name in self._nodes:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole measurement: start the graph, run a procedure, record, identify, end, and say where everything is."""
 
-from __future__ import annotations
-
 import json
 import operator
 import shutil

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Further measurements that could be made: run backwards, wait for another temperature, mount again, go elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any

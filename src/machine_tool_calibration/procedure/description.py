@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a procedure's YAML file says: the session to be measured, where to go, and how to move."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from itertools import product
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -97,7 +95,7 @@ class Path(Record):
     azimuth: Spread | Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Path:
+    def _check(self) -> Self:
         if (self.grid is None) == (self.points is None):
             raise ValueError("must have either grid or points")
         if self.points is not None and not all(self.points):

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point-to-point motion with limited speed and acceleration, and commanded trajectories."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from machine_tool_calibration.errors import CalibrationError
 
@@ -101,7 +100,7 @@ class Trajectory:
         points: Sequence[tuple[Mapping[str, float], float]],
         limits: Mapping[str, AxisLimits],
         first: Move | None = None,
-    ) -> Trajectory:
+    ) -> Self:
         """The trajectory through points (places, and times, s) from standstill, or later; braking may come `first`."""
         moves: list[tuple[float, Move]] = []
         clock = arrival = 0.0

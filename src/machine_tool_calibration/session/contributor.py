@@ -5,9 +5,7 @@ Words as in the GUM (JCGM 100): type A or B, distribution, standard or expanded 
 enters the readings, and which of them share one value of it, decide what it does to a result.
 """
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -56,7 +54,7 @@ class Contributor(Record):
     source: str = ""  # where the value is from
 
     @model_validator(mode="after")
-    def _check(self) -> Contributor:
+    def _check(self) -> Self:
         sizes = [key for key in ("standard_uncertainty", "expanded", "half_width") if getattr(self, key) is not None]
         if len(sizes) != 1:
             said = " and ".join(sizes) or "none"

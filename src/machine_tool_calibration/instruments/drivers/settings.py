@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the YAML file of an instrument with an ASCII line protocol says."""
 
-from __future__ import annotations
-
 import re
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -59,7 +57,7 @@ class Connection(Record):
     serial: Serial | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Connection:
+    def _check(self) -> Self:
         if (self.tcp is None) == (self.serial is None):
             raise ValueError("give either tcp or serial")
         return self
@@ -91,7 +89,7 @@ class Line(Record):
         return text
 
     @model_validator(mode="after")
-    def _check(self) -> Line:
+    def _check(self) -> Self:
         groups = set(re.compile(self.pattern).groupindex)
         if "value" not in groups:
             raise ValueError("the pattern has no group (?P<value>…)")

@@ -13,13 +13,11 @@
     - {kind: file, path: contour.dxf, layer: PROBE, material: inside, spacing: 5}
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -50,7 +48,7 @@ class Line(Record):
     count: Annotated[int, Field(ge=1, le=100_000)] | None = None  # how many
 
     @model_validator(mode="after")
-    def _check(self) -> Line:
+    def _check(self) -> Self:
         if self.start == self.end:
             raise ValueError("start and end are the same")
         if (self.spacing is None) == (self.count is None):
@@ -116,7 +114,7 @@ class Points(Record):
     normals: Annotated[tuple[Vector2, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _check(self) -> Points:
+    def _check(self) -> Self:
         if len(self.positions) != len(self.normals):
             raise ValueError("must have as many normals as positions")
         if any(np.hypot(*normal) == 0 for normal in self.normals):
