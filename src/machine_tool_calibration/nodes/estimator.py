@@ -129,8 +129,7 @@ class Estimator(ManagedNode):
         self, request: AddDiagnostics.Request, response: AddDiagnostics.Response
     ) -> AddDiagnostics.Response:
         """Into the model: the effect that is named, or those that the last diagnosis accepted."""
-        named = tuple(request.load_namespace.split())
-        if not (added := named or self._found):
+        if not (added := tuple(request.load_namespace.split()) or self._found):
             raise CalibrationError("no effect is named, and none has been found")
         present = tuple(name for name in self.get_parameter("effects").value if name)
         wanted = list(dict.fromkeys((*present, *added)))

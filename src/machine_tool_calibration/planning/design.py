@@ -165,9 +165,7 @@ class Candidates:
         for u in np.flatnonzero(weights > 0) if self._errors else ():
             own = self.units[u]
             moved[:, own.errors] += weights[u] * (x_shared[own.seen].T @ own.right)
-            if x_local.size:
-                right = own.local_right
-                moved[:, own.errors] += weights[u] * np.einsum("pdq,pde->qe", x_local, right, optimize=True)
+            moved[:, own.errors] += weights[u] * np.einsum("pdq,pde->qe", x_local, own.local_right, optimize=True)
         known = np.isfinite(variance)
         complete = self._scatter**2 * variance[known] + np.einsum("qe,qe->q", moved[known], moved[known])
         variance[known] = np.maximum(variance[known], complete)
@@ -183,9 +181,8 @@ class Candidates:
         for u, own in enumerate(self.units):
             shared, local = x_shared[own.seen], x_local  # (k, q), (P, d, q)
             change = np.einsum("kq,kl,lq->q", shared, own.shared, shared, optimize=True)
-            if local.size:
-                change += np.einsum("pdq,pde,peq->q", local, own.local, local, optimize=True)
-                change += 2.0 * np.einsum("pdq,pdk,kq->q", local, own.mixed, shared, optimize=True)
+            change += np.einsum("pdq,pde,peq->q", local, own.local, local, optimize=True)
+            change += 2.0 * np.einsum("pdq,pdk,kq->q", local, own.mixed, shared, optimize=True)
             slope[:, u] = -change
         return variance, slope
 
@@ -201,17 +198,15 @@ class Candidates:
         squares = np.diag(shared).copy()
         functions, own_functions, d = self._functions[:, place], self._own_functions, local.shape[1]
         lost = np.zeros(len(functions), dtype=bool)
-        inner = np.zeros(len(functions))
-        inverse, of_points = np.zeros_like(local), 0
-        if d:
-            inverse, rank = _inverses(local)
-            of_points, fixed = int(rank.sum()), rank == d
-            lost |= (np.abs(own_functions[:, ~fixed]) > 0).any(axis=(1, 2))
-            folded = inverse @ mixed  # (P, d, k)
-            shared -= np.einsum("pdk,pdl->kl", mixed, folded, optimize=True)
-            seen = np.einsum("pde,qpe->pdq", inverse, own_functions, optimize=True)
-            inner = np.einsum("qpd,pdq->q", own_functions, seen, optimize=True)
-            functions = functions - np.einsum("qpd,pdk->qk", own_functions, folded, optimize=True)
+        # where no point has unknowns of its own, their arrays are empty, and change nothing
+        inverse, rank = _inverses(local)
+        of_points, fixed = int(rank.sum()), rank == d
+        lost |= (np.abs(own_functions[:, ~fixed]) > 0).any(axis=(1, 2))
+        folded = inverse @ mixed  # (P, d, k)
+        shared -= np.einsum("pdk,pdl->kl", mixed, folded, optimize=True)
+        seen = np.einsum("pde,qpe->pdq", inverse, own_functions, optimize=True)
+        inner = np.einsum("qpd,pdq->q", own_functions, seen, optimize=True)
+        functions = functions - np.einsum("qpd,pdk->qk", own_functions, folded, optimize=True)
         constraints = self.constraints[:, place]
         goals = np.zeros(len(constraints))
         normal = solve_normal(shared, np.zeros(len(place)), constraints, goals, np.maximum(squares, 1e-300))
@@ -227,8 +222,7 @@ class Candidates:
         x_local = np.zeros((*local.shape[:2], x_shared.shape[1]))
         if responses:
             x_shared[place] = normal.half @ half.T
-            if d:
-                x_local = seen - np.einsum("pdk,kq->pdq", folded, x_shared[place], optimize=True)
+            x_local = seen - np.einsum("pdk,kq->pdq", folded, x_shared[place], optimize=True)
         readings = int(self._readings[some].sum())
         redundancy = (readings + len(rows) - of_points - normal.rank) / max(readings, 1)
         return np.where(lost, np.inf, variance), x_shared, x_local, redundancy
@@ -245,9 +239,8 @@ class Candidates:
             good = where >= 0
             where = where[good]
             shared[np.ix_(where, where)] += weights[u] * own.shared[np.ix_(good, good)]
-            if d:
-                local += weights[u] * own.local
-                mixed[:, :, where] += weights[u] * own.mixed[:, :, good]
+            local += weights[u] * own.local
+            mixed[:, :, where] += weights[u] * own.mixed[:, :, good]
         return shared, local, mixed
 
 

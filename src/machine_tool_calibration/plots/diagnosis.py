@@ -210,8 +210,7 @@ def _residuals_over(panel: Axes, joint: JointFit, name: str) -> None:
     pool = Pool(joint)
     none = [np.full(len(one), np.nan) for one in pool.observations]  # where what is left does not vary any more
     own = [covariates(one).get(name, nan) for one, nan in zip(pool.observations, none, strict=True)]
-    values = np.concatenate(own)
-    draw_residuals(panel, name, values, pool.residuals, pool.setup)
+    draw_residuals(panel, name, np.concatenate(own), pool.residuals, pool.setup)
     for k in np.unique(pool.setup)[:_LISTED]:
         panel.plot([], [], ".", color=color(int(k)), label=pool.setup_names[int(k)])
     panel.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)

@@ -121,8 +121,7 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     """
     from matplotlib.ticker import MaxNLocator
 
-    told = np.isfinite(comparison.difference)
-    axes = np.flatnonzero(told.any(axis=0))
+    axes = np.flatnonzero(np.isfinite(comparison.difference).any(axis=0))
     key = "picture.maps_agree" if comparison.agree else "picture.maps_differ"
     chance = {} if comparison.p_value is None else {"p": p_value(comparison.p_value)}
     title = say(f"{key}_p" if chance else key, n=comparison.beyond, count=comparison.count, **chance)

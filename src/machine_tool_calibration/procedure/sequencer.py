@@ -296,8 +296,7 @@ class Sequencer:
         return self._ask(Phase.CAPTURE, wall)
 
     def _captured(self, event: events.Captured, now: int, wall: float) -> list[events.Action]:
-        pending = self.pending
-        if pending.phase is not Phase.CAPTURE or not self.pending.is_asked(event.token):
+        if self.pending.phase is not Phase.CAPTURE or not self.pending.is_asked(event.token):
             return []
         if event.datum != self._group.datum:
             return self._recover("the instrument has lost its datum", now, wall)

@@ -112,8 +112,7 @@ class _Salvage:
 
     def messages(self) -> Iterator[tuple[Channel, Schema | None, RawMessage]]:
         if not begins_with(self.path, MAGIC):
-            size = self.path.stat().st_size
-            self._problem("does not begin as an MCAP file does", size)
+            self._problem("does not begin as an MCAP file does", self.path.stat().st_size)
             return
         for entry in self._entries():
             if isinstance(entry, RawRecord):
@@ -169,8 +168,7 @@ class _Salvage:
         """The whole messages in a chunk whose end is missing."""
         with self.path.open("rb") as stream:
             stream.seek(start)
-            head = stream.read(9)
-            if head[:1] == bytes([Opcode.CHUNK]):
+            if stream.read(9)[:1] == bytes([Opcode.CHUNK]):
                 content = stream.read(_LARGEST_CUT)
                 with contextlib.suppress(RecordingError):  # where the whole ones end
                     whole = unpack(self.path, RawRecord(Opcode.CHUNK, start, len(content), content), cut=True)

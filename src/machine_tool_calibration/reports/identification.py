@@ -15,13 +15,7 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result, fit_quality, map_rms, only_if_right, scatter_p_value
-from machine_tool_calibration.reports.goodness import (
-    effect_words,
-    fit_words,
-    free_words,
-    off_the_map_words,
-    vague_words,
-)
+from machine_tool_calibration.reports import goodness
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     as_exact,
@@ -178,7 +172,7 @@ def result_parts(
     fitting = goodness_of_fit(document)
     doubt = fit_quality(scatter_p_value(document["p_value"], document["error_map"])) in ("bad", "nearly")
     yield say("result.ask_diagnosis", text=fitting) if doubt and not on_page else fitting
-    yield from free_words(document)
+    yield from goodness.free_words(document)
     yield from suspicion_words(document["suspicious"])
     yield from spread_words(document)
     yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
@@ -191,7 +185,7 @@ def result_parts(
         yield say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason)
     tables = (readings_set_aside(document, opened), parameters_table(document, fit, None if on_page else _MOST_ROWS))
     yield from (table for table in tables if table.rows)
-    yield from effect_words(fit, document["effects"])
+    yield from goodness.effect_words(fit, document["effects"])
     # Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y.
     added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
     namesakes = added & {*ERROR_MOTIONS, *SQUARENESS}
@@ -203,8 +197,8 @@ def result_parts(
     if (more := len(reasons) - _MOST_NAMES) > 0:
         yield say("result.not_determined_more", n=more)
     yield say("result.datum", datum=datum_words(document))
-    yield from vague_words(document["error_map"] or {}, fit)
-    yield from off_the_map_words(document["error_map"] or {})
+    yield from goodness.vague_words(document["error_map"] or {}, fit)
+    yield from goodness.off_the_map_words(document["error_map"] or {})
 
 
 def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
@@ -275,7 +269,7 @@ def session_headline(session: Session) -> str:
 
 def goodness_of_fit(document: Mapping[str, Any]) -> Said:
     """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
-    return fit_words(document["reduced_chi_square"], document["p_value"], document.get("error_map") or {})
+    return goodness.fit_words(document["reduced_chi_square"], document["p_value"], document.get("error_map") or {})
 
 
 def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES) -> list[tuple[str, str]]:

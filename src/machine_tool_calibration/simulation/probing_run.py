@@ -175,8 +175,7 @@ class ProbingPlan(Plan):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        grid = self.nodes()
-        if np.any(np.diff(grid) <= 0):
+        if np.any(np.diff(self.nodes()) <= 0):
             raise ValueError("grid must increase")
         return self
 
