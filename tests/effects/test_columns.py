@@ -318,6 +318,17 @@ def test_lost_motion_is_no_polynomial_of_any_size_across_a_gap() -> None:
     assert lost_motion_names(place, np.repeat([1.0, -1.0], 5), {}) == ["b0", "b1", "b2"]
 
 
+def test_lost_motion_of_a_scan_on_the_move_is_as_smooth_as_where_both_ways_have_been() -> None:
+    """No place is met from both sides: those of the way back that lie within the way there say how smooth it is."""
+    there = np.linspace(0.0, 0.4, 41)
+    back = there[4:41:8] + 1e-4
+    names = lost_motion_names(np.concatenate([there, back]), np.repeat([1.0, -1.0], [41, 5]), {})
+    assert names == lost_motion_names(np.tile(back, 2), np.repeat([1.0, -1.0], 5), {"x": (0.0, 0.4)})
+    assert len(names) > 3
+    assert len(lost_motion_names(np.concatenate([there, there + 1e-4]), np.repeat([1.0, -1.0], 41), {})) == 8
+    assert len(lost_motion_names(there, np.ones(41), {})) == 2
+
+
 def lost_motion_names(place: Array, sense: Array, travel: dict[str, tuple[float, float]]) -> list[str]:
     columns = {"x": place, "dir_x": sense}
     session = SimpleNamespace(description=SimpleNamespace(machine=SimpleNamespace(travel=travel)))

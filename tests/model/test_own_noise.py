@@ -196,6 +196,9 @@ def test_a_part_of_the_readings_counts_as_it_does_among_all() -> None:
     assert not np.allclose(own.sigma, whole.sigma[-len(own.sigma) :])
     mine = np.isin(session.readings.row, part.readings.row)
     np.testing.assert_array_equal(own.drawn_as(whole).sigma, whole.sigma[mine])
+    widened = whole.drawn_as(own).sigma
+    np.testing.assert_array_equal(widened[mine], own.sigma)
+    np.testing.assert_array_equal(widened[~mine], whole.sigma[~mine])
     plain = build_model(read((1e-6, 1e-6))[0])[0]
     np.testing.assert_array_equal(whole.drawn_as(plain).sigma, plain.sigma)
 

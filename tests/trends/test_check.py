@@ -423,6 +423,14 @@ def test_readings_that_contradict_any_model_leave_open_whether_the_map_holds() -
     assert (within.holds, within.contradicted, within.misfit) == (True, False, False)
 
 
+def test_a_difference_that_chance_seldom_makes_is_neither_a_change_nor_none() -> None:
+    found = check(*(statement(np.full(1, 5e-6), 1e-7, label, "C0Y") for label in ("before", "after")))
+    maybe = replace(found, changes=tuple(replace(one, adjusted=0.03) for one in found.changes))
+    assert maybe.holds is None and not maybe.moved and not maybe.blind and maybe.open == maybe.changes
+    assert keys(check_verdict(maybe))[0] == "check.may_fail"
+    assert replace(found, changes=tuple(replace(one, adjusted=0.06) for one in found.changes)).open == ()
+
+
 def test_where_all_is_too_uncertain_it_is_open_whether_the_map_holds() -> None:
     sizes = {"before": 5e-6, "after": 1e-6}
     found = check(*(statement(np.array([size]), 8e-6, label, "C0Y") for label, size in sizes.items()))

@@ -18,6 +18,8 @@ _GROWN = 8.0
 # How many times larger than at the places that were read it may be between them (the Lebesgue constant), of no more
 # places than this: a polynomial across a gap is of any size there.
 _BETWEEN, _FEW_PLACES = 10.0, 60
+# Fewest places met from both sides; of fewer the axis did not stop where it had been read.
+_SAME_PLACES = 3
 _POWERS = ("the_same", "power_1", "power_2", "power_3")
 
 
@@ -54,7 +56,7 @@ class LostMotion(ReversalEffect):
         """As many as positions that were approached from both sides and their range allow; a straight line at least."""
         place = np.round(observations.readings.column(self.axis) / SAME_POSITION)
         sign = np.sign(self.approach(observations))
-        both = np.intersect1d(place[sign > 0], place[sign < 0])
+        both = _from_both_sides(np.unique(place[sign > 0]), np.unique(place[sign < 0]))
         low, high = self._travel(observations)
         share = SAME_POSITION * max(1.0, float(np.ptp(both)) if len(both) else 0.0) / max(high - low, SAME_POSITION)
         powers = min(LOST_MOTION_DEGREES, len(both) - 1, int(1e-9 + np.log(_GROWN) / max(-np.log(share), 0.1)))
@@ -75,6 +77,15 @@ class LostMotion(ReversalEffect):
         over = (2.0 * position - low - high) / (high - low)
         series = np.polynomial.legendre.legvander(over, len(self.coefficients_for(observations)) - 1)
         return np.asarray(-series.T * self.approach(observations) * self.along(observations))
+
+
+def _from_both_sides(up: Array, down: Array) -> Array:
+    """Places approached from both sides; of a scan on the move, those of one side between those of the other."""
+    same = np.intersect1d(up, down)
+    if len(same) >= _SAME_PLACES or not (len(up) and len(down)):
+        return same
+    low, high = max(up[0], down[0]), min(up[-1], down[-1])
+    return min((side[(side >= low) & (side <= high)] for side in (up, down)), key=len)
 
 
 def _lebesgue(place: Array, power: int) -> float:

@@ -64,6 +64,17 @@ class Gram:
         own = self.spread
         return replace(self, inner=self.inner[np.ix_(own, own)], data=self.data[own])
 
+    @property
+    def well_seen(self) -> Gram:
+        """Without combinations of a family's functions of which the model leaves nearly nothing (`WELL_SEEN`)."""
+        kept = np.eye(len(self.inner))
+        for family in range(int(self.family.max(initial=-1)) + 1):
+            own = np.ix_(*2 * (self.spread[self.family == family],))
+            size, along = np.linalg.eigh(self.inner[own])
+            faint = along[:, size < priors.WELL_SEEN * size.max(initial=0.0)]
+            kept[own] -= faint @ faint.T
+        return replace(self, inner=kept @ self.inner @ kept, data=kept @ self.data)
+
     def with_memory(self, readings_per_independent: float) -> Gram:
         """As from so many fewer readings: where the noise has a memory, what is slow is known no better."""
         k = readings_per_independent

@@ -20,8 +20,7 @@ CORRELATIONS = {0.0: 0.5} | dict.fromkeys(
 """Correlations of noise from one reading of a setup to the next, with their probabilities: half that there is none."""
 
 OWN_NOISE = 0.1
-"""Probability that directions or setups that are read directly have noise of their own: mostly one instrument reads
-all."""
+"""Probability that directions or setups have noise of their own: mostly one instrument reads all."""
 
 # --- what does not reproduce (size in units of the noise) ---
 
@@ -40,6 +39,11 @@ offset that shows has a size of its own."""
 DRIFT = (1.0, 0.7, 0.5, 0.5)
 """The same of degrees 1 to 4 in the time of a whole session, for what all of its runs share: of twice as many runs or
 more, as fewer do not tell it from functions of their own."""
+
+WELL_SEEN = 0.02
+"""Share of what is seen best of a family, from which a combination of its functions says how large it is. A slope that
+all runs have in common is the map's own but for a trace that jitter of their times leaves; what falls on a trace is a
+misfit of the model, and would be a hundred times as large in the family (map 54 um off)."""
 
 SEVERAL_RUNS = 4
 """Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:

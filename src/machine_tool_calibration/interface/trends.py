@@ -46,9 +46,12 @@ class Check(Answer, Checked):
             "correlated": self.correlated,
             "sessions_of_spread": self.sessions,
             "moved": [one.name for one in self.moved],
+            "open": [one.name for one in self.open],
             "too_uncertain": [one.name for one in self.blind],
             "not_compared": self.not_compared,
-            "changes": [asdict(one) | {"moved": one.moved, "too_uncertain": one.blind} for one in self.changes],
+            "changes": [
+                asdict(one) | {"moved": one.moved, "open": one.open, "too_uncertain": one.blind} for one in self.changes
+            ],
         }
 
 

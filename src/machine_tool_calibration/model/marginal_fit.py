@@ -211,7 +211,7 @@ def _probable_sizes(outside: Gram, repeated: Sequence[PureError], absorbed: Bool
     same = next(in_setups, outside)
     shown, whole = (np.bincount(outside.family, np.diag(one.inner), families) for one in (same, outside))
     unrepeated = shown < _LEAST_SHARE_LEFT * whole
-    found = components(outside if unrepeated.all() else same)
+    found = components((outside if unrepeated.all() else same).well_seen)
     if unrepeated.any() and not unrepeated.all():
         found = with_unrepeated(found, outside, unrepeated)
     order = np.argsort(-found.log_weights)

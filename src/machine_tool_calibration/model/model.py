@@ -213,11 +213,15 @@ class MethodModel(ABC):
         return self
 
     def drawn_as(self, other: Self) -> Self:
-        """The same model with what another one, of these readings and further ones, draws from its readings."""
+        """The same model with what another one, of further readings or of fewer, draws from its readings."""
         if other.noise is None:
             return self if self.noise is None else replace(self, noise=None)
-        mine = np.isin(other.observations.readings.row, self.observations.readings.row)
-        return replace(self, noise=replace(other.noise, factor=other.noise.factor[mine]))
+        factor = np.ones(len(self.observations)) if self.noise is None else self.noise.factor.copy()
+        _, mine, there = np.intersect1d(
+            self.observations.readings.row, other.observations.readings.row, return_indices=True
+        )
+        factor[mine] = other.noise.factor[there]
+        return replace(self, noise=replace(other.noise, factor=factor))
 
     @property
     def random(self) -> RandomUnknowns | None:

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.special import logsumexp, softmax
 
 from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, group_ranges, groups, rms
 from machine_tool_calibration.estimation import priors
@@ -46,7 +45,7 @@ _RANK = 1e-9
 # Variances over that of all, and their prior: half of them within a factor of four.
 _LOG_VARIANCES = np.linspace(-12.0, 12.0, 97)
 _LOG_PRIOR = -np.log1p((_LOG_VARIANCES / np.log(4.0)) ** 2)
-_LOG_PRIOR = _LOG_PRIOR - logsumexp(_LOG_PRIOR)
+_LOG_PRIOR = _LOG_PRIOR - np.logaddexp.reduce(_LOG_PRIOR)
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
         log_evidence, pooled, variance = _of_groups(told, each, least)
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])
-    weights = softmax(logs)
+    weights = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
     variance = weights[0] * pooled + weights[1:] @ np.array(variances)
     factor = np.sqrt(np.maximum(variance, 1.0))
     factor /= factor.min()
@@ -150,15 +149,14 @@ def _deviations(observations: Observations, kept: BoolArray, declared: Array) ->
     readings, direction = observations.readings, observations.direction
     run = groups(readings.repeat_of_setup, np.abs(direction).argmax(axis=1))
     of_places = _Deviations.of(readings.displacement / declared, observations.place, kept)
-    spot = readings.alike(approach=False)
-    of_spots, *reversals = (
-        _Deviations.of(values / declared, spot, kept) for values in (readings.displacement, *_reversals(observations))
+    spot, order = readings.alike(approach=False), np.lexsort((readings.row, observations.clock, run))
+    bent, *reversals = (
+        _Deviations.of(values / declared, spot, kept).from_neighbours(order, run)
+        for values in (readings.displacement, *_reversals(observations))
     )
     columns = np.array([one.value for one in reversals]).reshape(len(reversals), len(observations))
-    size = np.linalg.lstsq(columns.T, of_spots.value, rcond=_RANK)[0]
-    of_spots = replace(of_spots, value=of_spots.value - size @ columns)
-    order = np.lexsort((readings.row, observations.clock, run))
-    return of_places.in_runs(run), of_spots.from_neighbours(order, run)
+    size = np.linalg.lstsq(columns.T, bent.value, rcond=_RANK)[0]
+    return of_places.in_runs(run), replace(bent, value=bent.value - size @ columns)
 
 
 def _reversals(observations: Observations) -> Iterator[Array]:
@@ -191,8 +189,9 @@ def _of_groups(told: tuple[_Deviations, _Deviations], each: list[IntArray], leas
     pooled = max(float(np.average(variance, weights=dof)), np.finfo(float).tiny)
     # (groups, variances) of groups whose variances are known by so many degrees of freedom
     logs = -0.5 * dof[:, None] * (_LOG_VARIANCES + variance[:, None] / pooled * np.exp(-_LOG_VARIANCES))
-    own = logsumexp(logs + _LOG_PRIOR, axis=1)
-    log_variance = softmax(logs + _LOG_PRIOR, axis=1) @ _LOG_VARIANCES
+    logs += _LOG_PRIOR
+    own = np.logaddexp.reduce(logs, axis=1)
+    log_variance = np.exp(logs - own[:, None]) @ _LOG_VARIANCES
     return float(np.sum(own + 0.5 * dof * variance / pooled)), pooled, pooled * np.exp(log_variance)
 
 

@@ -46,7 +46,7 @@ def check_table(check: Check) -> TextTable:
         largest_change=lambda one: quantity(one.change, one.unit, one.u),
         changed_at=_where,
         adjusted_p=lambda one: probability(one.adjusted),
-        verdict=lambda one: say("check.moved" if one.moved else "check.blind" if one.blind else "check.stayed"),
+        verdict=lambda one: say(f"check.{_verdict_of(one)}"),
     )
 
 
@@ -55,10 +55,11 @@ def check_verdict(check: Check) -> str:
     if check.contradicted and not check.moved:
         before, after = map(rounded, check.scatter)
         return say("check.contradicted", n=len(check.changes), now=check.now, before=before, after=after)
-    if not check.moved:
+    if not (check.moved or check.open):
         return say("check.holds" if check.holds else "check.open", n=len(check.changes))
     # Position errors are made of the others: they are named only where none of these is found.
-    moved = [one for one in check.moved if one.name != POSITION_ERROR] or list(check.moved)
+    told_of = check.moved or check.open
+    moved = [one for one in told_of if one.name != POSITION_ERROR] or list(told_of)
     told = []
     for one in moved[:_MOST_CHANGES]:
         size, where = quantity(one.change, one.unit, one.u), _where(one)
@@ -66,7 +67,7 @@ def check_verdict(check: Check) -> str:
         told.append(say(key, name=_name(one), size=size, **({"where": where} if where else {})))
     if len(moved) > _MOST_CHANGES:
         told.append(say("check.more", n=len(moved) - _MOST_CHANGES))
-    return say("check.fails", what=enumeration(told))
+    return say("check.fails" if check.moved else "check.may_fail", what=enumeration(told))
 
 
 def check_remarks(check: Check) -> Iterator[str]:
@@ -88,6 +89,12 @@ def check_remarks(check: Check) -> Iterator[str]:
     if not check.correlated:
         yield say("check.uncorrelated")
     yield say("check.between", n=check.sessions) if check.sessions else say("check.no_between", n=SESSIONS)
+
+
+def _verdict_of(change: Change) -> str:
+    if change.moved:
+        return "moved"
+    return "open_change" if change.open else "blind" if change.blind else "stayed"
 
 
 def _name(change: Change) -> str:

@@ -25,7 +25,13 @@ from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.error_motions import interpolation, off_a_line
 from machine_tool_calibration.methods.joint.between_nodes import squared_bend
-from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
+from machine_tool_calibration.methods.map_comparison import (
+    LEVEL,
+    OPEN_LEVEL,
+    common_points,
+    compare_maps,
+    joint_p_value,
+)
 from machine_tool_calibration.trends.statement import Part, Statement
 
 SESSIONS = 5
@@ -61,9 +67,14 @@ class Change:
         return self.adjusted < LEVEL
 
     @property
+    def open(self) -> bool:
+        """Whether it differs by more than its uncertainty mostly explains, and not by enough to have changed."""
+        return LEVEL <= self.adjusted < OPEN_LEVEL
+
+    @property
     def blind(self) -> bool:
         """Whether it was too uncertain to tell: as much again as the error itself could have been added unseen."""
-        return not self.moved and 2.0 * self.u_rms > abs(self.before)
+        return not (self.moved or self.open) and 2.0 * self.u_rms > abs(self.before)
 
 
 @dataclass(frozen=True)
@@ -86,6 +97,11 @@ class Check:
     def moved(self) -> tuple[Change, ...]:
         """What has changed."""
         return tuple(one for one in self.changes if one.moved)
+
+    @property
+    def open(self) -> tuple[Change, ...]:
+        """What may have changed."""
+        return tuple(one for one in self.changes if one.open)
 
     @property
     def blind(self) -> tuple[Change, ...]:
@@ -118,12 +134,12 @@ class Check:
     def holds(self) -> bool | None:
         """Whether the map still predicts the measurement.
 
-        None where that is open: nothing is seen to have changed, and all was too uncertain to tell, or the readings
-        contradict even a model of their own, more than those of the map do theirs.
+        None where that is open: nothing is seen to have changed, and something may have, or all was too uncertain to
+        tell, or the readings contradict even a model of their own, more than those of the map do theirs.
         """
         if self.moved:
             return False
-        return None if self.contradicted or len(self.blind) == len(self.changes) else True
+        return None if self.open or self.contradicted or len(self.blind) == len(self.changes) else True
 
 
 def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ()) -> Check:

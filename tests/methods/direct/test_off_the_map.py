@@ -7,7 +7,8 @@ from tests import plates
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.improve import improve
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.reports.goodness import off_the_map_words
 
 U = 3e-7
@@ -40,6 +41,16 @@ def test_a_wave_that_no_table_follows_is_within_the_uncertainty(passes: int) -> 
     assert off.max() > 3.0 * U
     assert (off < 2.0 * u).all()
     assert np.median(u) == pytest.approx(1e-6 / np.sqrt(2.0), rel=0.1)
+
+
+def test_two_sessions_together_are_as_uncertain_where_both_are_off_the_map() -> None:
+    wave = 1e-6 * np.sin(2.0 * np.pi * X / 0.0137)
+    both = tuple(scan((SMOOTH + wave)[::step], X[::step], 2, step) for step in (1, 2))
+    alone, found = (identify_sessions(FitRequest(own, "ab"[: len(own)])).error_map for own in (both[:1], both))
+    off = np.abs(found.error[:, 0] - np.interp(found.points[:, 0], X, SMOOTH + wave))
+    assert (off < 2.0 * found.uncertainty[:, 0]).all()
+    assert np.median(found.uncertainty[:, 0]) > 0.9 * np.median(alone.uncertainty[:, 0])
+    assert found.content["off_the_map"].max() > 2.0 * U
 
 
 @pytest.mark.parametrize("bend", [STEEP, 2e-5 * np.exp(-(((X - 0.83) / 0.03) ** 2))], ids=["steep", "worn"])

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, groups
 from machine_tool_calibration.machine.error_motions import parse_motion
+from machine_tool_calibration.methods.direct import off_the_map
 from machine_tool_calibration.methods.direct.model import sensed_at
 from machine_tool_calibration.methods.joint.between_nodes import between_nodes
 from machine_tool_calibration.methods.joint.model import CommonModels
@@ -18,6 +19,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import ErrorMap, determined_values
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say, together
 
 _MOST_POINTS = 5000
@@ -63,12 +65,28 @@ def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | N
         for lines in between_nodes(common.tables, theta, own, points, solution.determined[index]):
             off = rigid_body.without_open(lines, open_, inside)
             covariance += np.einsum("kni,knj->nij", off, off)
+        covariance, content["off_the_map"] = _widened(joint, points, covariance)
     moved = np.linalg.norm(np.einsum("kni,kq->niq", field, silent), axis=2)
     error, uncertainty, covariance = rigid_body.determined_part(
         error, covariance, (moved > rigid_body.OPEN_CHANGE) | beyond
     )
     content |= {"points": points, "position_error": error, "position_error_u": uncertainty, "datum": common.datum}
     return ErrorMap(content, points, error, uncertainty, covariance, lost)
+
+
+def _widened(joint: JointFit, points: Array, covariance: Array) -> tuple[Array, Array]:
+    """(n, 3, 3) covariances at points (n, 3), with what readings of the machine are off the map; (n,) that, m."""
+    every, n = np.concatenate([covariance, np.zeros((1, 3, 3))]), len(points)  # the last of places without a point
+    off = np.zeros(n + 1)
+    for fit in joint.fits:
+        position = fit.model.observations.position
+        if spec_of(fit.model.observations.session).reads_machine:
+            place = groups(*np.round(np.concatenate([points, position]) / SAME_POSITION).T)
+            point = np.full(int(place.max()) + 1, n)
+            point[place[:n]] = np.arange(n)
+            every, own = off_the_map.widened(every, np.zeros((n + 1, 3)), fit.model, fit.residuals, point[place[n:]])
+            off = np.maximum(off, own)
+    return every[:n], off[:n]
 
 
 def _of_unread(field: Array, silent: Array) -> BoolArray:
