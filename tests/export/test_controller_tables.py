@@ -272,10 +272,12 @@ def test_a_larger_largest_error_is_warned_of() -> None:
     found = exported(after)
     assert not found.worse and not found.worse_along
     assert harm_words(found).startswith("the largest error grows: X (")
+    grown = float(np.abs(after[worst, 0]) - np.abs(BEFORE[worst, 0]))
+    assert not harm_words(exported(after, 0.51 * grown))  # by less than its U
 
 
 def test_an_axis_that_gets_worse_is_named() -> None:
-    found = exported(BEFORE * [0.1, 0.1, 1.01])
+    found = exported(BEFORE * [0.1, 0.1, 1.05])
     assert not found.worse
     (_, now, left, largest_now, largest_left, _) = left_table(found).rows[2]
     assert harm_words(found) == (

@@ -177,5 +177,7 @@ def test_the_span_of_an_axis_is_its_travel_where_readings_fill_it(
 def test_a_reversal_is_lacking_where_one_direction_scatters_less(own: float | None, lacks: bool) -> None:
     content = {"scatter": {"found": 2e-6, "one_direction": own}}
     assert lacks_reversal(content) is lacks
+    assert lacks_reversal(content | {"points": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]}) is lacks
+    assert not lacks_reversal(content | {"points": [[0.0, 0.0, 0.0]] * 2})  # it has a value for each direction
     # What the map's uncertainty has of it is no scatter.
     assert beside_reversal(content) == pytest.approx(0.5 if lacks else 1.0)

@@ -237,3 +237,29 @@ def test_a_gross_error_is_no_noise_of_its_setup() -> None:
     wrong[30] += 60.0 * session.sigma
     found = build_model(plates.with_columns(session, wrong))[0].noise
     assert found is None or found.factor.max() < 1.3
+
+
+def marks(noise: np.ndarray, seed: int, slope: float = 0.0) -> Session:
+    """Marks on a line, each of which scatters by its own (k,), m, in 24 runs whose slopes differ by `slope`, m."""
+    rng, place, repeat = np.random.default_rng(seed), np.tile(np.arange(9), 24), np.repeat(np.arange(24), 9)
+    columns = {"x": 0.05 * place, "y": 0.0 * place, "z": 0.0 * place}
+    columns["displacement"] = noise[place] * rng.normal(size=216) + slope * rng.normal(size=24)[repeat] * (
+        place / 4.0 - 1
+    )
+    return plates.session(columns, 1e-6, "none", ["EXX"], repeat)
+
+
+def test_a_mark_that_is_hardly_seen_has_noise_of_its_own() -> None:
+    noise = np.where(np.arange(9) == 3, 15e-6, 1e-6)
+    for seed in range(5):
+        found = identify(marks(noise, seed))
+        assert len(found.rejected) <= 1
+        u = found.error_map.uncertainty[:, 0]
+        assert u[3] == pytest.approx(15e-6 / np.sqrt(24), rel=0.5)
+        assert np.median(u) == pytest.approx(1e-6 / np.sqrt(24), rel=0.5)
+    assert "at (150, 0, 0) mm" in goodness_of_fit(found.document())
+
+
+def test_places_that_slopes_move_more_are_no_noisier() -> None:
+    told = [build_model(marks(np.full(9, 1e-6), seed, slope=10e-6))[0].noise for seed in range(5)]
+    assert all(noise is None or noise.factor.max() < 1.3 for noise in told)

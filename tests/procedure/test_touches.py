@@ -83,6 +83,7 @@ def test_direction_is_that_of_the_approach():
     ("changes", "message"),
     [
         ({"path": {"points": [{"x": 0.0}]}}, "says only where the other axes stand"),
+        ({"path": {"points": [{"a": 1.0}]}}, "says only where the other axes stand"),
         ({"path": {"grid": {"z": [0.0, 0.1]}}}, "says only where the other axes stand"),
         ({"motion": {"approach": 0.0}}, "must be positive"),
         ({"motion": {"approach": 0.06}}, "point '0' is touched from x = 0.113, outside the travel -0.1 to 0.1"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
+from machine_tool_calibration.cli.export import bad_fit
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.shared import PATH, json_option, progress_bar, tell_either
 
@@ -72,8 +73,11 @@ def known_after(chosen: FitRequest, wanted: Until, stages: Sequence[Reached], me
         yield say("enough.diagnose", measurement=str(measurement))
         return
     with progress_bar() as progress:
-        now, *further = outlooks(chosen, complete.identify(chosen), progress)
+        found = complete.identify(chosen)
+        now, *further = outlooks(chosen, found, progress)
     yield outlook_table([now, *further[:_MOST_FURTHER]])
     largest = min((one.largest for one in further), default=now.largest)
-    if not K * largest <= wanted.u:
+    if warning := bad_fit(found.joint, found.error_map.content):
+        yield warning
+    elif not K * largest <= wanted.u:
         yield say("enough.none_comes", u=expanded_text(wanted.u))

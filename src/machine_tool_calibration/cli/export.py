@@ -123,6 +123,7 @@ def command(
         "preview": made.left,
         "worse": made.worse,
         "worse_along": [one.name for one in made.worse_along],
+        "larger_along": [one.name for one in made.left if one.larger],
     }
     written = [folder / name for name in made.files]
     absent = [absent_words(made)] if made.absent else []

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, rigid_motions, rms
+from machine_tool_calibration.coverage import K
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.export import read_tables, remarks, write_tables
@@ -45,8 +46,9 @@ class ResidualError:
 
     @property
     def larger(self) -> bool:
-        """Whether the compensation would make the largest error larger."""
-        return self.largest_after > _SAME_RATIO * self.largest_before
+        """Whether the compensation would make the largest error larger, by more than what it is uncertain by."""
+        grown = self.largest_after - self.largest_before
+        return grown > max((_SAME_RATIO - 1.0) * self.largest_before, K * self.uncertainty)
 
 
 @dataclass(frozen=True)

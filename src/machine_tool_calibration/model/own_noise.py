@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of its own of each direction that is read, and of each setup, where repeats tell that it differs.
+"""Noise of its own of each direction that is read, of each setup and of each place, where repeats tell that it differs.
 
 One instrument reads X to a micrometre, another one Y to twenty; declared is one number for both. Readings of the same
 thing tell what each scatters by, whatever the model lacks. The variance of every group is that of all, or one of its
@@ -11,7 +11,7 @@ run by much less than from the run's mean, it is by this that they count. Where 
 same side, readings from both sides are compared like this, without the reversal that all share.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -32,6 +32,9 @@ _INNER, _MEAN_SQUARE, _TELLS = 0.75, 0.368, 0.45
 _NO_NOISE = 10.0
 # Degrees of freedom of a group below which it has the scatter of all; share by which noises are the same.
 _FEWEST, _ALIKE = 2.0, 0.01
+# Readings of each place from which it may have noise of its own, as a mark that is hardly seen has; of fewer, what runs
+# differ by at the ends of an axis would be noise.
+_OFTEN = 20
 # Readings again in a run from which it tells what it differs by.
 _IN_A_RUN = 3
 # Over the mean square of the differences from neighbours in a run, from which that from the run's mean has a course;
@@ -54,7 +57,7 @@ class OwnNoise:
 
     # (n,) of each reading over that of the quietest group, or over the declared one where that is larger
     factor: Array
-    each: dict[str, dict[str, float]]  # what each direction (`along` the axes) or `setup` scatters by, m
+    each: dict[str, dict[str, float]]  # what each direction (`along` the axes), `setup` or `place` scatters by, m
 
 
 def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
@@ -62,17 +65,20 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
 
     Repeats that agree better than `declared`, (n,) m, make no reading better.
     """
-    ways = list(_ways(observations))
-    if not ways:
+    if not (ways := list(_ways(observations))):
         return None
     told = _deviations(observations, _sound(observations, ways[-1][1], declared), declared)
-    values = observations.readings.displacement
+    values, every = observations.readings.displacement, np.arange(len(declared))
+    if told[0].variance(every) > _COURSE * told[1].variance(every):  # what runs differ by at their ends is no noise
+        ways = [one for one in ways if one[0] != "place"]
+    if not ways:
+        return None
     logs, variances = [np.log1p(-priors.OWN_NOISE)], list[Array]()
-    for _, group, _ in ways:
+    for way, group, _ in ways:
         order = np.argsort(group, kind="stable")
         each = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
         least = np.array([own_rounding(values[own], observations.path[own]) for own in each]) / rms(declared)
-        log_evidence, pooled, variance = _of_groups(told, each, least)
+        log_evidence, pooled, variance = _of_groups(told[:1] if way == "place" else told, each, least)
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])
     weights = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
@@ -87,13 +93,18 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
 
 
 def _ways(observations: Observations) -> Iterator[tuple[str, IntArray, tuple[str, ...]]]:
-    """Ways to group readings: by the direction they sense, by their setup, and by both; the groups and their names."""
+    """Ways to group readings: by place, by the direction they sense, by setup, and by both; and the groups' names."""
     direction, readings = np.abs(observations.direction), observations.readings
     along, setup = direction.argmax(axis=1), readings.setup
     axis = groups(along) if (direction.max(axis=1) > _ALONG).all() else np.zeros_like(setup)
     axes = tuple("xyz"[k] for k in np.unique(along).tolist())
     ids = tuple(observations.session.setup_ids[k] for k in np.unique(setup).tolist())
     setup = groups(setup)
+    spot = readings.alike(setup=False, approach=False, signed=False)
+    if spot.max() > 0 and np.bincount(spot).min() >= _OFTEN:
+        first = np.unique(spot, return_index=True)[1]
+        points = (", ".join(f"{1e3 * v:.6g}" for v in point) for point in observations.position[first])
+        yield "place", spot, tuple(f"({point}) mm" for point in points)
     if axis.max() > 0:
         yield "along", axis, axes
     if setup.max() > 0:
@@ -119,13 +130,13 @@ class _Deviations:
         return cls(np.where(again, values - mean, 0.0), np.where(again, 1.0 - 1.0 / np.maximum(count, 1.0), 0.0))
 
     def in_runs(self, run: IntArray) -> Self:
-        """From the mean of their run (n,), too: what runs of a direction differ by is no noise of a reading."""
+        """From the median of their run (n,), too: what runs of a direction differ by is no noise of a reading."""
         again = self.left > 0.0
         repeated = np.bincount(run, again)[run]
         differs = again & (repeated >= _IN_A_RUN)
-        mean = np.bincount(run, self.value)[run]
-        value, left = (np.where(differs, one / np.maximum(repeated, 1.0), 0.0) for one in (mean, 1.0))
-        return type(self)(self.value - value, np.maximum(self.left - left, 0.0))
+        middle = group_ranges(np.where(again, self.value, np.nan), run, 1 + int(run.max()))[1][run]
+        left = np.maximum(self.left - 1.0 / np.maximum(repeated, 1.0), 0.0)
+        return type(self)(self.value - np.where(differs, middle, 0.0), np.where(differs, left, self.left))
 
     def from_neighbours(self, order: IntArray, run: IntArray) -> Self:
         """From the mean of those before and after them in their run (n,), in this `order` (n,)."""
@@ -178,7 +189,7 @@ def _sound(observations: Observations, group: IntArray, least: Array) -> BoolArr
     return np.asarray(~again | (size <= _NO_NOISE * np.maximum(scale[group], least)))
 
 
-def _of_groups(told: tuple[_Deviations, _Deviations], each: list[IntArray], least: Array) -> tuple[float, float, Array]:
+def _of_groups(told: Sequence[_Deviations], each: list[IntArray], least: Array) -> tuple[float, float, Array]:
     """Logarithm of the evidence of a variance of its own for each group over one for all; that one, and these."""
     variance, dof = np.array([_of_group(told, mine) for mine in each]).T
     enough = dof > _FEWEST
@@ -195,9 +206,10 @@ def _of_groups(told: tuple[_Deviations, _Deviations], each: list[IntArray], leas
     return float(np.sum(own + 0.5 * dof * variance / pooled)), pooled, pooled * np.exp(log_variance)
 
 
-def _of_group(told: tuple[_Deviations, _Deviations], mine: IntArray) -> tuple[float, float]:
+def _of_group(told: Sequence[_Deviations], mine: IntArray) -> tuple[float, float]:
     """What a group scatters by, squared, and the degrees of freedom that it is known by."""
-    (variance, dof), (bent, known) = ((one.variance(mine), float(one.left[mine].sum())) for one in told)
+    (variance, dof), *others = ((one.variance(mine), float(one.left[mine].sum())) for one in told)
+    bent, known = others[0] if others else (0.0, 0.0)
     if known > _TOGETHER and (dof < _REPEATED * known or variance > _COURSE * bent):
         variance, dof = bent, known / _TOGETHER
     return variance, _TELLS * dof

@@ -387,9 +387,10 @@ def one_direction(content: Mapping[str, Any] | None) -> float | None:
 
 
 def lacks_reversal(content: Mapping[str, Any]) -> bool:
-    """Whether the directions of such runs differ by what the model has not."""
-    own = one_direction(content)
-    return own is not None and content["scatter"]["found"] > _SAME * own
+    """Whether the directions of such runs differ by what the model has not: its map has one value for both."""
+    own, points = one_direction(content), np.asarray(content.get("points", ()), dtype=float)
+    one_value = len(np.unique(points, axis=0)) == len(points)
+    return own is not None and one_value and bool(content["scatter"]["found"] > _SAME * own)
 
 
 def beside_reversal(content: Mapping[str, Any]) -> float:

@@ -77,7 +77,7 @@ def touch_steps(procedure: Procedure) -> Iterator[Step]:
 
 def _held(procedure: Procedure) -> dict[str, float]:
     points = procedure.path.points
-    if points is None or len(points) != 1 or {"x", "y", "c"} & points[0].keys():
+    if points is None or len(points) != 1 or "z" not in points[0] or {"x", "y", "c"} & points[0].keys():
         raise SessionError(
             f"{procedure.source}: path of a probing procedure says only where the other axes stand, as in "
             "points: [{z: -0.01}]; the points to be touched are the workpiece's"

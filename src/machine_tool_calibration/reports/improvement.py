@@ -124,7 +124,7 @@ def steps_table(done: Improvement) -> TextTable:
         done.steps,
         say("improved.note"),
         model=lambda step: step.label,
-        size_pm=lambda step: sizes_in_words([p for p in step.parameters if step.may_be or p.owner == step.change], ""),
+        size_pm=lambda step: _sizes(step, done.steps[-1]),
         probability=lambda step: probability(done.probability(step.change)) if step.change in done.accepted else "",
         residual=lambda step: micrometres(step.result.rms_residual),
         chi=lambda step: rounded(step.reduced_chi_square),
@@ -133,3 +133,9 @@ def steps_table(done: Improvement) -> TextTable:
         U_map=lambda step: of_map(step.map_rms, step.map_uncertainty)[1],
         volumetric=lambda step: micrometres(step.residual_volumetric_error(done.steps[-1])),
     )
+
+
+def _sizes(step: Step, last: Step) -> str:
+    """Of what a step adds, as the last model has it; of what may be instead, what it is of the model then."""
+    told = step.parameters if step.may_be else [p for p in last.parameters if p.owner == step.change]
+    return sizes_in_words(told, "")
