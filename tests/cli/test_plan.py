@@ -53,6 +53,15 @@ def test_choices_are_looked_at_before_anything_is_chosen(tmp_path: Path, verb: V
     assert "choices.features are for a workpiece" in verb.refused("plan", file)
 
 
+def test_a_plan_says_how_well_a_squareness_comes_out(verb: Verb) -> None:
+    told = {
+        one["name"]: one["standard_uncertainty"] for one in verb("plan", "ball_bar", "--json").document["squareness"]
+    }
+    assert told.keys() == {"C0Y", "scale_y_less_x"} and 1e-7 < told["C0Y"] < 5e-7
+    shown = [line.split() for line in verb("plan", "ball_bar").out.splitlines() if line.startswith("C0Y")]
+    assert shown == [["C0Y", *2 * (f"{2e6 * told['C0Y']:.2g}", "µrad")]]
+
+
 def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
     rows = verb("plan", "direct_iso230_2", "--json").document["uncertainties"]["position_error_u"]
     assert all(row[0] > 0 and row[1:] == [None, None] for row in rows)

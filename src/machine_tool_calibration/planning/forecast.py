@@ -18,6 +18,7 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.design import SharedErrors
@@ -237,6 +238,11 @@ class Forecast(Detectable):
             "seconds": self.seconds,
             "degrees_of_freedom": found["degrees_of_freedom"],
             "uncertainties": {name: value for name, value in found["error_map"].items() if name.endswith("_u")},
+            "squareness": [
+                {"name": one.name, "standard_uncertainty": one.standard_uncertainty, "unit": one.unit}
+                for one in self.result.parameters
+                if self.result.joint.assembly.unknowns[one.name].kind is Kind.SQUARENESS
+            ],
             "points": found["error_map"].get("points"),
             "not_determined": found["not_determined"],
             "datum": found["datum"],

@@ -55,7 +55,11 @@ def forecast_parts(found: Forecast) -> Iterator[Part]:
     measured = {"n": document["readings"], "u": quantity(sigma, "m"), "time": duration(found.seconds)}
     yield say("forecast.headline", method=method, model=document["model"], **measured)
     # each coordinate by itself
-    rows = (_uncertainty_row(name.removesuffix("_u"), values) for name, values in document["uncertainties"].items())
+    rows = [_uncertainty_row(name.removesuffix("_u"), values) for name, values in document["uncertainties"].items()]
+    rows += [
+        (one["name"], *2 * (expanded_text(2.0 * one["standard_uncertainty"], one["unit"]),), "")
+        for one in document["squareness"]
+    ]
     columns = heads("", "typical", "at_most", "not_determined")
     yield TextTable(say("forecast.uncertainty"), columns, tuple(row for row in rows if row is not None))
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
