@@ -235,6 +235,13 @@ def test_a_limit_is_exceeded_where_the_uncertainty_does_not_explain_it(
     assert bool(found.alarms) == (state == "exceeded")
 
 
+def test_what_later_sessions_do_not_have_is_said_to_end() -> None:
+    both = entries(5, lambda k: 5e-6) + entries(7, lambda k: 5e-6, "C0Y")
+    (ended,) = [words for words in trend_words(trend(both)) if "trend.says_ended" in keys(words)]
+    assert str(ended).startswith(f"EXX ends on {both[4].date}")
+    assert not [words for words in trend_words(trend(both[:5])) if "trend.says_ended" in keys(words)]
+
+
 def test_few_sessions_say_nothing_and_an_unknown_limit_is_refused() -> None:
     found = trend(entries(3, lambda k: 1e-6 * 10**k))
     assert found.courses[0].kind == "few" and not found.alarms

@@ -31,9 +31,7 @@ from machine_tool_calibration.simulation.site import SiteSpec, read_site
 @graph_options
 @click.option("--site", type=PATH, help="YAML file with what is true in the simulated workshop.")
 @click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    help="Seed of the simulated workshop, and of its noise; else the site's.",
+    "--seed", type=click.IntRange(min=0), help="Seed of the simulated workshop, and of its noise; else the site's."
 )
 @click.option(
     "--driver",

@@ -165,6 +165,12 @@ def trend_words(found: Trend) -> Iterator[str]:
     told = sum(one.kind != "few" for one in found.courses)
     if not found.alarms:
         yield say("trend.quiet", n=told) if told else say("trend.untold")
+    ended: dict[str, list[str]] = {}
+    for one in found.courses:
+        if one.dates[-1] != found.dates[-1]:
+            ended.setdefault(one.dates[-1], []).append(one.name)
+    for date, which in sorted(ended.items()):
+        yield say("trend.says_ended", n=len(which), names=enumeration(which), date=date)
 
 
 def _per_kelvin(one: Course) -> str:
