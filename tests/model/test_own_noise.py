@@ -263,3 +263,17 @@ def test_a_mark_that_is_hardly_seen_has_noise_of_its_own() -> None:
 def test_places_that_slopes_move_more_are_no_noisier() -> None:
     told = [build_model(marks(np.full(9, 1e-6), seed, slope=10e-6))[0].noise for seed in range(5)]
     assert all(noise is None or noise.factor.max() < 1.3 for noise in told)
+
+
+def test_a_reversal_is_no_noise_whether_its_side_was_recorded_or_not() -> None:
+    """X there and back in two setups, of which one senses its play: with and without the column of the direction."""
+    place = np.tile(np.concatenate([np.arange(12), np.arange(11, -1, -1)]), 2)
+    setup, sense = np.repeat([0, 1], 24), np.tile(np.repeat([1.0, -1.0], 12), 2)
+    for seed in range(5):
+        columns = {"x": 0.05 * place, "y": 0.0 * place, "z": 0.0 * place, "gx": 1.0 - 0.9 * setup, "gy": 0.9 * setup}
+        noise = 1e-6 * np.random.default_rng(seed).normal(size=48)
+        columns |= {"gz": 0.0 * place, "displacement": -30e-6 * sense * columns["gx"] + noise}
+        session = plates.session(columns, 1e-6, "offset", ["EXX", "EYX"], None, "A", "B", setup=setup)
+        for told in (session, plates.with_columns(session, dir_x=sense)):
+            found = build_model(told)[0].noise
+            assert found is None or found.factor.max() < 1.3

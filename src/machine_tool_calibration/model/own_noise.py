@@ -17,9 +17,18 @@ from typing import Self
 
 import numpy as np
 
-from machine_tool_calibration.arrays import NORMAL_MEDIAN, Array, BoolArray, IntArray, group_ranges, groups, rms
+from machine_tool_calibration.arrays import (
+    NORMAL_MEDIAN,
+    Array,
+    BoolArray,
+    IntArray,
+    group_ranges,
+    groups,
+    last_sign,
+    rms,
+)
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.model.rounding import own_rounding
 
 # Component of a direction from which it is along an axis.
@@ -163,17 +172,23 @@ def _deviations(observations: Observations, kept: BoolArray, declared: Array) ->
     spot, order = readings.alike(approach=False), np.lexsort((readings.row, observations.clock, run))
     bent, *reversals = (
         _Deviations.of(values / declared, spot, kept).from_neighbours(order, run)
-        for values in (readings.displacement, *_reversals(observations))
+        for values in (readings.displacement, *_reversals(observations, order))
     )
     columns = np.array([one.value for one in reversals]).reshape(len(reversals), len(observations))
     size = np.linalg.lstsq(columns.T, bent.value, rcond=_RANK)[0]
     return of_places.in_runs(run), replace(bent, value=bent.value - size @ columns)
 
 
-def _reversals(observations: Observations) -> Iterator[Array]:
-    """(n,) what a constant reversal of each axis does to the readings, m per m."""
-    for axis, direction, moved in zip("xyz", observations.direction.T, observations.moved, strict=True):
-        if moved and (sign := observations.readings.columns.get(f"dir_{axis}")) is not None:
+def _reversals(observations: Observations, order: IntArray) -> Iterator[Array]:
+    """(n,) what a reversal of each axis does, m per m; by the moves in this order where no side was recorded."""
+    for axis, direction, position, moved in zip(
+        "xyz", observations.direction.T, observations.position.T, observations.moved, strict=True
+    ):
+        sign = observations.readings.columns.get(f"dir_{axis}")
+        if moved and sign is None:
+            sign = np.empty(len(order))
+            sign[order] = last_sign(np.diff(position[order], prepend=position[order[:1]]), SAME_POSITION)
+        if moved and sign is not None:
             yield sign * direction
 
 
