@@ -30,25 +30,27 @@ from machine_tool_calibration.arrays import (
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.model.rounding import own_rounding
+from machine_tool_calibration.session.catalogue import spec_of
 
 # Component of a direction from which it is along an axis.
 _ALONG = 0.99
 # Share of deviations, the smallest ones, that tell what all scatter by, whatever the others are; the mean of their
-# squares where all are normal; and how much all tell by this.
-_INNER, _MEAN_SQUARE, _TELLS = 0.75, 0.368, 0.45
+# squares where all are normal, and how much all tell by this.
+_INNER, _MEAN_SQUARE, _TELLS = 0.75, 0.368, 0.7
 # Standard deviations, by the median, from which a reading is no noise: of three the middle one leaves nothing, so that
 # the median is too small.
 _NO_NOISE = 10.0
-# Degrees of freedom of a group below which it has the scatter of all; share by which noises are the same.
-_FEWEST, _ALIKE = 2.0, 0.01
+# Degrees of freedom of a group below which it has the scatter of all (a burst of gross errors is most of fewer); share
+# by which noises are the same.
+_FEWEST, _ALIKE = 4.0, 0.05
 # Readings of each place from which it may have noise of its own, as a mark that is hardly seen has; of fewer, what runs
 # differ by at the ends of an axis would be noise.
 _OFTEN = 20
 # Readings again in a run from which it tells what it differs by.
 _IN_A_RUN = 3
 # Over the mean square of the differences from neighbours in a run, from which that from the run's mean has a course;
-# share of the degrees of freedom of the former that this must have.
-_COURSE, _REPEATED = 2.0, 0.3
+# the fewest degrees of freedom of the former, and the share of them that the latter has.
+_COURSE, _KNOWN, _REPEATED = 2.0, 0.5, 0.6
 # What a second difference of white noise adds to its variance; the readings that tell as much as two of them, of which
 # neighbours go together by -2/3 and 1/6.
 _SECOND, _TOGETHER = 1.5, 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0)
@@ -78,16 +80,21 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
         return None
     told = _deviations(observations, _sound(observations, ways[-1][1], declared), declared)
     values, every = observations.readings.displacement, np.arange(len(declared))
-    if told[0].variance(every) > _COURSE * told[1].variance(every):  # what runs differ by at their ends is no noise
+    if (
+        told[0].variance(every)[0] > _COURSE * told[1].variance(every)[0]
+    ):  # what runs differ by at their ends is no noise
         ways = [one for one in ways if one[0] != "place"]
     if not ways:
         return None
+    # A plate or an axis is read in few places and by turns, of which neighbours tell too little.
+    spec = spec_of(observations.session)
+    direct = spec.reads_machine and not spec.centred
     logs, variances = [np.log1p(-priors.OWN_NOISE)], list[Array]()
     for way, group, _ in ways:
         order = np.argsort(group, kind="stable")
         each = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
         least = np.array([own_rounding(values[own], observations.path[own]) for own in each]) / rms(declared)
-        log_evidence, pooled, variance = _of_groups(told[:1] if way == "place" else told, each, least)
+        log_evidence, pooled, variance = _of_groups(told[:1] if direct or way == "place" else told, each, least)
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])
     weights = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
@@ -157,11 +164,13 @@ class _Deviations:
         value[mine[same]], left[mine[same]] = bent[same], self.left[mine[same]]
         return type(self)(value, left)
 
-    def variance(self, mine: IntArray) -> float:
-        """Of those that are `mine` (k,), as the smallest of them tell it, so that gross errors are none of it."""
-        squares = np.sort(self.value[mine][self.left[mine] > 0.0] ** 2)
+    def variance(self, mine: IntArray) -> tuple[float, float]:
+        """Of those that are `mine` (k,), and the degrees of freedom that tell it: gross errors are none of it."""
+        squares, dof = np.sort(self.value[mine][self.left[mine] > 0.0] ** 2), float(self.left[mine].sum())
+        if not len(squares):
+            return 0.0, 0.0
         inner = squares[: int(np.ceil(_INNER * len(squares)))]
-        return float(inner.mean()) / _MEAN_SQUARE * len(squares) / float(self.left[mine].sum()) if len(inner) else 0.0
+        return float(inner.mean()) / _MEAN_SQUARE * len(squares) / dof, _TELLS * dof
 
 
 def _deviations(observations: Observations, kept: BoolArray, declared: Array) -> tuple[_Deviations, _Deviations]:
@@ -223,8 +232,9 @@ def _of_groups(told: Sequence[_Deviations], each: list[IntArray], least: Array) 
 
 def _of_group(told: Sequence[_Deviations], mine: IntArray) -> tuple[float, float]:
     """What a group scatters by, squared, and the degrees of freedom that it is known by."""
-    (variance, dof), *others = ((one.variance(mine), float(one.left[mine].sum())) for one in told)
+    (variance, dof), *others = (one.variance(mine) for one in told)
     bent, known = others[0] if others else (0.0, 0.0)
-    if known > _TOGETHER and (dof < _REPEATED * known or variance > _COURSE * bent):
-        variance, dof = bent, known / _TOGETHER
-    return variance, _TELLS * dof
+    known /= _TOGETHER
+    if known > _KNOWN and (dof < _REPEATED * known or variance > _COURSE * bent):
+        return bent, known
+    return variance, dof

@@ -14,6 +14,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import common_points, states
 from machine_tool_calibration.model.fit import JointFit, declared, fit_models
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
 from machine_tool_calibration.planning.dominant import angular_size, expecting
 from machine_tool_calibration.planning.forecast import Forecast
@@ -75,7 +76,7 @@ def outlooks(chosen: FitRequest, result: Result | JointResult, progress: Progres
     labels, published = chosen.labels, result.error_map
     read = fitted_sessions(result).error_map.uncertainty
     angular = angular_size(result.joint.assembly.models[0])
-    now = _fitted(chosen, angular)[1].uncertainty
+    now = _fitted(chosen, angular, chosen.base(chosen.sessions[0])[0])[1].uncertainty
     options = [(k, option) for k, session in enumerate(chosen.sessions) for option in further_options(session)]
     then: dict[tuple[int, int, str], tuple[float, Outlook]] = {}
     for number, (k, option) in enumerate(options, 1):
@@ -113,6 +114,7 @@ def _to_be_read(session: Session, readings: Readings) -> Session:
 def _with(chosen: FitRequest, at: int, option: Option, angular: float) -> tuple[JointFit, ErrorMap]:
     """The fit with a further measurement in one of the sessions."""
     session, old = option.session, chosen.sessions[at]
+    known = chosen.base(old)[0]
     said = session.description.standard_uncertainty
     silent = {
         name: said.model_copy(update={"displacement": _SILENT_UNCERTAINTY})
@@ -123,20 +125,24 @@ def _with(chosen: FitRequest, at: int, option: Option, angular: float) -> tuple[
         # which the uncertainty rests: what the present readings predict is read there.
         hardly = said.model_copy(update={"setups": {**said.setups, **silent}})
         description = session.description.model_copy(update={"standard_uncertainty": hardly})
-        fit = _fitted(chosen.instead(at, replace(session, description=description)), angular)[0].fits[at]
+        fit = _fitted(chosen.instead(at, replace(session, description=description)), angular, known)[0].fits[at]
         rows, there = session.readings.row, fit.model.observations.readings.row
         missed = np.zeros(len(rows))
         missed[np.searchsorted(rows, there)] = fit.residuals
         predicted = session.readings.displacement - np.where(rows >= option.first_row, missed, 0.0)
         session = session.with_readings(replace(session.readings, displacement=predicted))
-    return _fitted(chosen.instead(at, session), angular)
+    return _fitted(chosen.instead(at, session), angular, known)
 
 
-def _fitted(chosen: FitRequest, angular: float) -> tuple[JointFit, ErrorMap]:
-    """The fit, and its map with the uncertainties that follow from the declared one alone."""
+def _fitted(chosen: FitRequest, angular: float, known: MethodModel) -> tuple[JointFit, ErrorMap]:
+    """The fit, and its map with the uncertainties that follow from the declared one alone.
+
+    Readings that were not taken say nothing of their noise: it is that `known` by those that were.
+    """
     if len(chosen.sessions) > 1:
         fitted = fit_sessions(chosen)
         return fitted.joint, fitted.map_of(declared(fitted.joint))
-    model = expecting(chosen.base(chosen.sessions[0])[0], angular)
+    model = replace(chosen.base(chosen.sessions[0])[0], noise=None).drawn_as(known)
+    model = expecting(model, angular)
     joint = fit_models([add_effects(model, chosen.present)])
     return joint, error_map(declared(joint).fits[0])
