@@ -12,7 +12,7 @@ same side, readings from both sides are compared like this, without the reversal
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -56,6 +56,8 @@ _COURSE, _KNOWN, _REPEATED = 2.0, 0.5, 0.6
 _SECOND, _TOGETHER = 1.5, 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0)
 # Share of the largest singular value below which a reversal is another one's.
 _RANK = 1e-9
+# How often means of places and of runs are taken off each other, and the change, over the noise, from which not again.
+_TIMES, _SETTLED = 20, 0.01
 # Variances over that of all, and their prior: half of them within a factor of four.
 _LOG_VARIANCES = np.linspace(-12.0, 12.0, 97)
 _LOG_PRIOR = -np.log1p((_LOG_VARIANCES / np.log(4.0)) ** 2)
@@ -90,10 +92,11 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
     spec = spec_of(observations.session)
     direct = spec.reads_machine and not spec.centred
     logs, variances = [np.log1p(-priors.OWN_NOISE)], list[Array]()
+    digit = own_rounding(values, observations.path)
     for way, group, _ in ways:
         order = np.argsort(group, kind="stable")
         each = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
-        least = np.array([own_rounding(values[own], observations.path[own]) for own in each]) / rms(declared)
+        least = np.array([own_rounding(values[own], observations.path[own]) or digit for own in each]) / rms(declared)
         log_evidence, pooled, variance = _of_groups(told[:1] if direct or way == "place" else told, each, least)
         logs.append(np.log(priors.OWN_NOISE / len(ways)) + log_evidence)
         variances.append(variance[group])
@@ -177,28 +180,38 @@ def _deviations(observations: Observations, kept: BoolArray, declared: Array) ->
     """From the means of their places and runs; and from their neighbours, as they differ from both sides."""
     readings, direction = observations.readings, observations.direction
     run = groups(readings.repeat_of_setup, np.abs(direction).argmax(axis=1))
-    of_places = _Deviations.of(readings.displacement / declared, observations.place, kept)
+    values = readings.displacement / declared
+    for _ in range(_TIMES):  # the mean of a place has a part of what the runs that were there differ by
+        of_places = _Deviations.of(values, observations.place, kept)
+        shift = of_places.value - of_places.in_runs(run).value
+        values = values - shift
+        if np.abs(shift).max(initial=0.0) < _SETTLED:
+            break
     spot, order = readings.alike(approach=False), np.lexsort((readings.row, observations.clock, run))
     bent, *reversals = (
-        _Deviations.of(values / declared, spot, kept).from_neighbours(order, run)
-        for values in (readings.displacement, *_reversals(observations, order))
+        _Deviations.of(one / declared, spot, kept).from_neighbours(order, run)
+        for one in (readings.displacement, *_reversals(observations, order))
     )
     columns = np.array([one.value for one in reversals]).reshape(len(reversals), len(observations))
-    size = np.linalg.lstsq(columns.T, bent.value, rcond=_RANK)[0]
-    return of_places.in_runs(run), replace(bent, value=bent.value - size @ columns)
+    size, _, rank, _ = np.linalg.lstsq(columns.T, bent.value, rcond=_RANK)
+    free = max(1.0 - rank / max(float(bent.left.sum()), 1.0), 0.0)
+    return of_places.in_runs(run), _Deviations(bent.value - size @ columns, free * bent.left)
 
 
 def _reversals(observations: Observations, order: IntArray) -> Iterator[Array]:
-    """(n,) what a reversal of each axis does, m per m; by the moves in this order where no side was recorded."""
-    for axis, direction, position, moved in zip(
-        "xyz", observations.direction.T, observations.position.T, observations.moved, strict=True
-    ):
-        sign = observations.readings.columns.get(f"dir_{axis}")
-        if moved and sign is None:
+    """(n,) what shifts and turns that reverse with an axis do, per m and rad.
+
+    By the moves in this order where no side was recorded.
+    """
+    columns, arm = observations.readings.columns, observations.position - observations.position.mean(axis=0)
+    senses = [*observations.direction.T, *np.cross(arm, observations.direction).T]
+    signs = [columns[name] for name in columns if name.startswith("dir_") and np.ptp(columns[name]) > 0.0]
+    if not signs:
+        for position in observations.position.T[observations.moved]:
             sign = np.empty(len(order))
             sign[order] = last_sign(np.diff(position[order], prepend=position[order[:1]]), SAME_POSITION)
-        if moved and sign is not None:
-            yield sign * direction
+            signs.append(sign)
+    return (sign * sense for sign in signs for sense in senses if sense.any())
 
 
 def _sound(observations: Observations, group: IntArray, least: Array) -> BoolArray:
