@@ -82,9 +82,8 @@ def own_noise(observations: Observations, declared: Array) -> OwnNoise | None:
         return None
     told = _deviations(observations, _sound(observations, ways[-1][1], declared), declared)
     values, every = observations.readings.displacement, np.arange(len(declared))
-    if (
-        told[0].variance(every)[0] > _COURSE * told[1].variance(every)[0]
-    ):  # what runs differ by at their ends is no noise
+    about, bent = (one.variance(every)[0] for one in told)
+    if about > _COURSE * bent:  # what runs differ by at their ends is no noise of a place
         ways = [one for one in ways if one[0] != "place"]
     if not ways:
         return None
@@ -180,10 +179,11 @@ def _deviations(observations: Observations, kept: BoolArray, declared: Array) ->
     """From the means of their places and runs; and from their neighbours, as they differ from both sides."""
     readings, direction = observations.readings, observations.direction
     run = groups(readings.repeat_of_setup, np.abs(direction).argmax(axis=1))
-    values = readings.displacement / declared
+    values, place = readings.displacement / declared, observations.place
     for _ in range(_TIMES):  # the mean of a place has a part of what the runs that were there differ by
-        of_places = _Deviations.of(values, observations.place, kept)
-        shift = of_places.value - of_places.in_runs(run).value
+        of_places = _Deviations.of(values, place, kept)
+        in_runs = of_places.in_runs(run)
+        shift = of_places.value - in_runs.value
         values = values - shift
         if np.abs(shift).max(initial=0.0) < _SETTLED:
             break
@@ -195,7 +195,7 @@ def _deviations(observations: Observations, kept: BoolArray, declared: Array) ->
     columns = np.array([one.value for one in reversals]).reshape(len(reversals), len(observations))
     size, _, rank, _ = np.linalg.lstsq(columns.T, bent.value, rcond=_RANK)
     free = max(1.0 - rank / max(float(bent.left.sum()), 1.0), 0.0)
-    return of_places.in_runs(run), _Deviations(bent.value - size @ columns, free * bent.left)
+    return in_runs, _Deviations(bent.value - size @ columns, free * bent.left)
 
 
 def _reversals(observations: Observations, order: IntArray) -> Iterator[Array]:
